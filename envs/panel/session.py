@@ -233,7 +233,7 @@ class Session(Bench):
     def _moved(self) -> None:
         """Note that the machine was placed elsewhere."""
         if self.beside is not None:
-            self.beside.due = True
+            self.beside.align()
 
     def joint_position(self, axis: str) -> float | None:
         """The position of the joint (m or rad)."""

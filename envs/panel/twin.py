@@ -61,9 +61,13 @@ class ParallelTwin:
         self._mark = -math.inf, math.nan  # s, and where the axis was then
         self._attained, self._fault = True, 0
 
+    def align(self) -> None:
+        """Place the twin where the axis stands, as soon as it does."""
+        self.due = True
+
     @property
     def state(self) -> str:
-        """In words."""
+        """The state of the twin in words."""
         if self.due:
             return "waits until the axis stands"
         return self.drive.fault or self.drive.state.name.replace("_", " ").lower()

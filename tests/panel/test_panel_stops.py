@@ -271,8 +271,8 @@ def test_a_choice_counts_before_the_next_picture():
     async def go(*command):
         sent.append(command)
 
-    page._go, page._choice = go, Choice()
-    page.desk = types.SimpleNamespace(status={"mode": first})
+    page._choice = Choice()
+    page.desk = types.SimpleNamespace(status={"mode": first}, go=go)
     assert page._choice.is_new(first, Mode.PROFILE_POSITION)  # the drive shows it by now
     pending = page._mode(second)
     assert page._choice.keeps(first, 1.0), "the list follows the drive: the choice is lost"

@@ -8,7 +8,7 @@ import numpy as np
 from ...autotune.response import Response
 from ...autotune.trial import Trial
 
-QUIET = "#76808e"  # to be read on light and on dark ground
+QUIET = "#76808e"  # legible on a light and on a dark ground
 VELOCITY, POSITION = "#3987e5", "#e0762b"
 BEFORE, AFTER = QUIET, "#3987e5"
 FONT = {"fontFamily": "Roboto, system-ui, sans-serif", "fontSize": 15}
@@ -27,6 +27,7 @@ LEGEND = {
 }
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
 MOST = 800  # points of a line
+PANELS = {1: [(76, 55)], 2: [(76, "54%"), ("57%", 55)]}  # by their number: top, bottom of each
 SMALL = {"m": ("µm", 1e6), "rad": ("mrad", 1e3)}
 
 
@@ -44,40 +45,36 @@ def bode_chart(responses: Sequence[Response]) -> dict[str, Any]:
         ):
             magnitude = 20 * np.log10(np.abs(loop))
             phase = np.degrees(np.unwrap(np.angle(loop)))
-            crossover = np.argmin(np.abs(magnitude[there]))  # there it is known best
+            crossover = np.argmin(np.abs(magnitude[there]))  # the phase is most certain there
             phase -= 360 * np.round((phase[there][crossover] + 130) / 360)
             for grid, values in ((0, magnitude), (1, phase)):
                 series.append(
                     _line(f"{name}, before" if old else name, response.frequencies[there],
                           values[there], colour, grid, dashed=old)
                 )
-    frequency = AXIS | {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
-    return _two(
-        frequency, "frequency (Hz)", AXIS | {"type": "value", "name": "magnitude (dB)"},
-        AXIS | {"type": "value", "name": "phase (°)", "interval": 90} | _turns(series), series,
-    )
+    frequency = {"type": "log", "min": 2, "minorSplitLine": {"show": False}}
+    phase_axis = {"name": "phase (°)", "interval": 90} | _turns(series)
+    return _panels("frequency (Hz)", [{"name": "magnitude (dB)"}, phase_axis], series, frequency)
 
 
 def step_chart(before: Trial, after: Trial) -> dict[str, Any]:
-    """A step of the velocity, and the following error on the move."""
-    series = []
-    for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER)):
-        series.append(_line(name, trial.step_time * 1e3, trial.step_velocity, colour, 0))
-    return _one("velocity, share of the step", "time (ms)", series)
+    """A step of the velocity."""
+    series = [
+        _line(name, trial.step_time * 1e3, trial.step_velocity, colour, 0)
+        for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER))
+    ]
+    return _panels("time (ms)", [{"name": "velocity, share of the step"}], series)
 
 
 def move_chart(before: Trial, after: Trial, unit: str) -> dict[str, Any]:
-    """The following error on a move, and the torque."""
+    """The following error and the torque on a move."""
     small, scale = SMALL[unit]
     series = []
     for name, trial, colour in (("before", before, BEFORE), ("after", after, AFTER)):
         series.append(_line(name, trial.time, trial.error * scale, colour, 0))
         series.append(_line(name, trial.time, trial.torque, colour, 1))
-    value = AXIS | {"type": "value"}
-    return _two(
-        value, "time (s)", value | {"name": f"following error ({small})"},
-        value | {"name": "torque (Nm)"}, series,
-    )
+    names = [{"name": f"following error ({small})"}, {"name": "torque (Nm)"}]
+    return _panels("time (s)", names, series)
 
 
 def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
@@ -86,11 +83,8 @@ def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
     for course, colour in zip(courses, COLOURS, strict=False):
         series.append(_line(course.policy, course.time, course.value, colour, 0))
         series.append(_line(course.policy, course.time, course.torque, colour, 1))
-    value = AXIS | {"type": "value"}
-    return _two(
-        value, "time (s)", value | {"name": shown, "scale": True},
-        value | {"name": "torque (% rated)"}, series,
-    )
+    names = [{"name": shown, "scale": True}, {"name": "torque (% rated)"}]
+    return _panels("time (s)", names, series)
 
 
 def _turns(series: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -111,34 +105,32 @@ def _line(
     }
 
 
-def _one(name: str, along: str, series: list[dict[str, Any]]) -> dict[str, Any]:
-    value = AXIS | {"type": "value"}
-    return {
-        "textStyle": FONT,
-        "grid": [{"left": 64, "right": 34, "top": 76, "bottom": 55}],
-        "legend": LEGEND,
-        "tooltip": {"trigger": "axis"},
-        "xAxis": [value | ALONG | {"name": along}],
-        "yAxis": [value | {"name": name, "nameTextStyle": LEFT}],
-        "series": series,
-    }
-
-
-def _two(
-    x: dict[str, Any], along: str, upper: dict[str, Any], lower: dict[str, Any],
-    series: list[dict[str, Any]],
+def _panels(
+    along: str, values: Sequence[dict[str, Any]], series: list[dict[str, Any]],
+    x: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    left = {"nameTextStyle": LEFT}
+    """Panels above one another with a common horizontal axis.
+
+    Args:
+        along: name of the horizontal axis.
+        values: options of the vertical axis of each panel, one or two.
+        series: lines of `_line`.
+        x: options of the horizontal axis; a linear one by default.
+    """
+    last = len(values) - 1
     return {
-        "textStyle": FONT,
-        "grid": [{"left": 64, "right": 34, "top": 76, "bottom": "54%"},
-                 {"left": 64, "right": 34, "top": "57%", "bottom": 55}],
-        "legend": LEGEND,
-        "tooltip": {"trigger": "axis"},
-        "xAxis": [
-            x | {"gridIndex": 0, "axisLabel": {"show": False}},
-            x | ALONG | {"gridIndex": 1, "name": along},
+        "textStyle": FONT, "legend": LEGEND, "tooltip": {"trigger": "axis"}, "series": series,
+        "grid": [
+            {"left": 64, "right": 34, "top": top, "bottom": bottom}
+            for top, bottom in PANELS[len(values)]
         ],
-        "yAxis": [upper | left | {"gridIndex": 0}, lower | left | {"gridIndex": 1}],
-        "series": series,
+        "xAxis": [
+            AXIS | (x or {"type": "value"}) | {"gridIndex": n}
+            | (ALONG | {"name": along} if n == last else {"axisLabel": {"show": False}})
+            for n in range(len(values))
+        ],
+        "yAxis": [
+            AXIS | {"type": "value", "gridIndex": n, "nameTextStyle": LEFT} | own
+            for n, own in enumerate(values)
+        ],
     }

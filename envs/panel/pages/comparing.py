@@ -1,11 +1,11 @@
 """Compares parameters of the drive with factory and file, and writes them back on request."""
 
-from nicegui import events, ui
+from nicegui import events
 
 from ....drive.model.rows import Object
 from ..comparison import Difference, compare, of_file, write_back
 from .desk import Desk, Refusal, refuse
-from .widgets import answer_to, button, card, file_button, hexadecimal
+from .widgets import button, card, div, file_button, hexadecimal, note, sure, table
 
 FACTORY, FILE = "factory", "file"
 COLUMNS = ("object", "name", "drive", FACTORY, FILE)
@@ -19,18 +19,13 @@ class CompareCard:
         self.file: dict[str, float] | None = None
         self.found: list[Difference] = []
         with card("Compare parameters", "compare-parameters"):
-            self.said = ui.label("The drive, the factory and a file.").classes("prose quiet")
-            self.said.props("data-test=compared")
-            with ui.element("div").classes("cluster"):
+            self.said = note("Compares the drive with the factory and a file.", "compared")
+            with div("cluster"):
                 button("Compare", self._compare, "compare", "main")
                 file_button("With a file …", self._load, "compare-file")
                 button("Write the factory's …", lambda: self._ask(FACTORY), "write-factory")
                 button("Write the file's …", lambda: self._ask(FILE), "write-file")
-            self.table = ui.table(
-                columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in COLUMNS],
-                rows=[], row_key="object", pagination=0,
-            )
-            self.table.props("dense flat wrap-cells hide-bottom data-test=differences")
+            self.table = table(COLUMNS, "object", "differences")
             self.table.set_visibility(False)
 
     async def _load(self, event: events.UploadEventArguments) -> None:
@@ -57,7 +52,7 @@ class CompareCard:
         self.table.set_visibility(bool(found))
 
     async def _ask(self, source: str) -> None:
-        """Say what would be written; write it after a yes."""
+        """Show what would be written, and write it if the user agrees."""
         await self._compare()
         wanted: dict[Object, float] = {
             each.row: value for each in self.found
@@ -67,13 +62,9 @@ class CompareCard:
             refuse(f"nothing differs from the {source}" if source == FACTORY or self.file
                    else "load a file first")
             return
-        with ui.dialog() as dialog, ui.card():
-            ui.label(f"Write {len(wanted)} values of the {source} to the drive?")
-            ui.label(", ".join(row.name for row in list(wanted)[:8]) + " …" * (len(wanted) > 8))
-            with ui.element("div").classes("cluster"):
-                button("Write", lambda: dialog.submit(True), "write-yes", "main")
-                button("Leave it", lambda: dialog.submit(False), "write-no")
-        if not await answer_to(dialog):
+        names = ", ".join(row.name for row in list(wanted)[:8]) + " …" * (len(wanted) > 8)
+        question = f"Write {len(wanted)} values of the {source} to the drive?"
+        if not await sure(question, names, yes="Write", no="Leave it"):
             return
         axis = self.desk.axis
         wrong = await self.desk.command(lambda session: write_back(session, axis, wanted))

@@ -15,13 +15,12 @@ from ..bench import ENDED, Bench, words
 from ..clock import Clock
 
 Request = Callable[[Any], Any]  # of the bench, or of the session where a page needs one
-
-
-HEAVY = asyncio.Semaphore(1)  # measurements on copies wait for one another: time has to go on
+REFUSED = (ServoError, SdoAbort, ValueError, RuntimeError, OSError, ImportError)
+HEAVY = asyncio.Semaphore(1)  # measurements on copies run one at a time, so that time can go on
 
 
 async def beside(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Let something that takes long, on a copy, go on beside all sessions; one at a time."""
+    """Run long work on a copy in a thread of its own, one at a time for all sessions."""
     async with HEAVY:
         return await asyncio.to_thread(work, *arguments)
 
@@ -65,41 +64,70 @@ class Desk:
         """Whether this tab commands."""
         return self.shown["holder"] == self.tab
 
-    async def barred(self) -> Any:
-        """Why this tab may not command; empty if it may. The picture may be older than the seat."""
-        return "" if self.in_control else await self.command(lambda session: "")
-
-    async def ask(self, request: Request) -> Any:
-        """What a session says; for looking only."""
-        return await asyncio.wrap_future(self.clock.ask(request))
-
     def beat(self) -> None:
         """Note that this tab is alive."""
-        self.clock.session.control.beat(self.tab, time.monotonic())
+        self.bench.control.beat(self.tab, time.monotonic())
+
+    # ------------------------------------------------- requests, with their answer
+
+    async def ask(self, request: Request) -> Any:
+        """Return the answer of the session to a request that only reads."""
+        return await asyncio.wrap_future(self.clock.ask(request))
 
     async def command(self, request: Request) -> Any:
-        """Let the session do something that takes no time; words, where it is refused."""
+        """Have the session do something that takes no time; -> the reason of a refusal."""
         return await self.tried(self.clock.ask(self._checked(request)))
 
     async def motion(self, motion: Request, *, at_once: bool = False) -> Any:
-        """Let the session carry out a motion, as `Clock.move` does; words, where it fails."""
-        if barred := await self.barred():  # who may not command ends no motion
+        """Have the session carry out a motion, as `Clock.move` does; -> the reason of a failure."""
+        if barred := await self.barred():  # a tab that may not command ends no motion
             return barred
         return await self.tried(self.clock.move(self._checked(motion), at_once=at_once))
 
     async def stop(self, stop: Request) -> Any:
-        """Let the session carry out a stop, at once; every window may."""
+        """Have the session carry out a stop at once; every tab may."""
         return await self.tried(self.clock.stop_motion(self._signed(stop)))
+
+    async def barred(self) -> Any:
+        """The reason why this tab may not command; empty if it may.
+
+        The session is asked if the last picture, which may be old, shows another tab in control.
+        """
+        return "" if self.in_control else await self.command(lambda session: "")
+
+    async def tried(self, work: Awaitable[Any] | Future[Any]) -> Any:
+        """Return the result of some work, or a `Refusal`: the errors of all pages end here."""
+        try:
+            return await (asyncio.wrap_future(work) if isinstance(work, Future) else work)
+        except REFUSED as error:
+            return Refusal(in_words(error))
+
+    # ------------------------------------------- requests whose refusal is shown here
+
+    async def do(self, request: Request) -> None:
+        """As `command`; a refusal is shown."""
+        refuse(await self.command(request))
+
+    async def go(self, what: str, *arguments: Any, at_once: bool = False) -> None:
+        """As `motion`, by the name of a method of the session, for the axis of this tab."""
+        axis = self.axis
+        refuse(await self.motion(lambda s: getattr(s, what)(axis, *arguments), at_once=at_once))
+
+    async def halt(self, what: str, *axis: str) -> None:
+        """As `stop`, by the name of a method of the session, for one axis or for all."""
+        refuse(await self.stop(lambda session: getattr(session, what)(*axis)))
+
+    # ---------------------------------------------------------------------------------
 
     def _checked(self, request: Request) -> Request:
         """Wrap a request so that it is refused unless this tab has control."""
         self.beat()
+        signed = self._signed(request)
 
         def checked(session: Bench) -> Any:
             session.control.check(self.tab)
             return signed(session)
 
-        signed = self._signed(request)
         return checked
 
     def _signed(self, request: Request) -> Request:
@@ -114,16 +142,6 @@ class Desk:
                 control.window = ""
 
         return signed
-
-    async def tried(self, work: Awaitable[Any] | Future[Any]) -> Any:
-        """What comes of something; words, where it is refused: every page's errors end here."""
-        try:
-            return await (asyncio.wrap_future(work) if isinstance(work, Future) else work)
-        except REFUSED as error:
-            return Refusal(in_words(error))
-
-
-REFUSED = (ServoError, SdoAbort, ValueError, RuntimeError, OSError, ImportError)
 
 
 class Refusal(str):

@@ -1,22 +1,25 @@
-"""Experiments: snapshots, faults, disturbances; policies that take over, and side by side."""
+"""Experiments: faults, disturbances, snapshots, policies that take over or are compared."""
 
 import copy
+from collections.abc import Awaitable, Callable
+from functools import partial
 from textwrap import shorten
 from typing import Any
 
 from nicegui import ui
 
+from ...engine.machine import Machine
 from ..disturbances import DISTURBANCES, Disturbance, clear, disturb, inject, unit_at
 from .charts import course_chart
 from .desk import Desk, beside, refuse
-from .widgets import Entry, Tag, button, card
+from .widgets import Entry, Tag, box, button, card, div, note
 
 CAUSES = (  # offered first, where a model has them
     "encoder_loss", "overvoltage", "undervoltage", "following_error", "motor_temperature",
     "drive_temperature", "i2t", "short_circuit", "index_missing", "external",
 )
-MOST = 4  # policies side by side
-LONGEST = 400  # characters of what is wrong with a policy
+MOST = 4  # policies that are compared
+LONGEST = 400  # characters of an error message of a policy
 
 
 class ExperimentsPage:
@@ -27,180 +30,171 @@ class ExperimentsPage:
     def __init__(self, desk: Desk):
         self.desk = desk
         self.laboratory: Any = desk.clock.session.laboratory
-        with ui.element("div").classes("columns experiment-columns"):
-            with ui.element("div").classes("stack"):
+        with div("columns experiment-columns"):
+            with div("stack"):
                 self._faults()
                 self._disturbances()
                 self._snapshots()
-            with ui.element("div").classes("stack"):
-                self._policies()
+            with div("stack"):
+                if self.laboratory is None:
+                    with card("Policy takes over", "policies"):
+                        note(desk.bench.no_policies, "no-policies", "prose")
+                else:
+                    self._policies()
 
-    # ------------------------------------------------------------- what is there
+    # --------------------------------------------------------- what can be done
 
     def _faults(self) -> None:
-        drive = self.desk.machine.drives[self.desk.axis]
-        known = drive.injectable
-        first = [cause for cause in CAUSES if cause in known]
+        causes = self.desk.machine.drives[self.desk.axis].injectable
+        first = [cause for cause in CAUSES if cause in causes]
         with card("Faults"):
-            with ui.element("div").classes("cluster"):
+            with div("cluster"):
                 for cause in first:
                     text = cause.replace("_", " ").replace("i2t", "I²t")
                     button(text, lambda _, cause=cause: self._inject(cause), f"inject-{cause}")
-            with ui.element("div").classes("cluster"):
-                self.other = ui.select(
-                    [cause for cause in known if cause not in first], label="Another cause",
+            with div("cluster"):
+                self.other = box(ui.select(
+                    [cause for cause in causes if cause not in first], label="Another cause",
                     with_input=True,
-                ).props("dense outlined").classes("entry grow")
+                ))
                 button("Inject", lambda: self._inject(str(self.other.value or "")))
                 button("Take all away", self._clear, "clear-injected", "main")
-            self.injected = ui.label("Nothing is injected.").props("data-test=injected")
-            self.injected.classes("prose quiet")
+            self.injected = note("Nothing is injected.", "injected")
 
     def _disturbances(self) -> None:
-        session: Any = self.desk.clock.session
-        place = session.axes.index(self.desk.axis)
-        self.rows: list[tuple[Disturbance, ui.label, int]] = []
-        with card("Disturbances"), ui.element("div").classes("parameters"):
+        session: Any = self.desk.bench
+        self.values: dict[Disturbance, ui.label] = {}
+        with card("Disturbances"), div("parameters"):
             for row in DISTURBANCES:
                 unit = unit_at(session, row, self.desk.axis)
-                with ui.element("div").classes("parameter"):
+                with div("parameter"):
                     ui.label(f"{row.name}, {unit}")
-                    value = ui.label("").classes("parameter-value")
-                    entry = Entry("", "", 0.0, row.most, test=f"disturb-{row.name.split()[0]}",
-                                  spoken=f"{row.name}, {unit}")
+                    self.values[row] = note("", kind="parameter-value")
+                    entry = Entry(
+                        "", "", 0.0, row.most, send=partial(self._disturb, row),
+                        test=f"disturb-{row.name.split()[0]}", spoken=f"{row.name}, {unit}",
+                    )
                     entry.unit = unit
-                    entry.send_to(self._sender(row, entry))
-                self.rows.append((row, value, place))
-
-    def _sender(self, row: Disturbance, entry: Entry) -> Any:
-        async def send(value: float) -> str:
-            axis = self.desk.axis
-            words = await self.desk.command(lambda s: disturb(s, axis, row, value))
-            if not words:
-                entry.field.value, entry.field.error = "", None
-            return str(words or "")
-
-        return send
 
     def _snapshots(self) -> None:
         with card("Snapshots"):
-            with ui.element("div").classes("cluster"):
-                self.label = ui.input(
+            with div("cluster"):
+                self.label = box(ui.input(
                     "Name", value="A", validation={"give it a name": lambda t: bool(t.strip())}
-                ).props(
-                    "dense outlined hide-bottom-space maxlength=24 data-test=snapshot-name"
-                ).classes("entry says grow")
+                ), "snapshot-name", "says grow", "hide-bottom-space maxlength=24")
                 button("Keep", self._keep, "keep", "main")
-            self.kept = ui.element("div").classes("cluster")
+            self.kept = div("cluster")
             self._names: list[str] | None = None
-            ui.label(
-                "A snapshot holds everything: the machine, the drives and their memory."
-            ).classes("prose quiet")
+            note("A snapshot holds everything: the machine, the drives and their memory.")
 
     def _policies(self) -> None:
+        fitting = self.laboratory.fitting(self.desk.axis)
+        goal, offered = fitting.goal, list(fitting.names)
         with card("Policy takes over", "policies"):
-            if self.laboratory is None:
-                ui.label(self.desk.bench.no_policies).classes("prose").props(
-                    "data-test=no-policies"
+            with div("cluster"):
+                self.policy = box(
+                    ui.input("Policy", value=offered[0], autocomplete=offered), "policy"
                 )
-                return
-            fitting = self.laboratory.fitting(self.desk.axis)
-            goal = fitting.goal
-            with ui.element("div").classes("cluster"):
-                self.policy = ui.input(
-                    "Policy", value=fitting.names[0], autocomplete=list(fitting.names)
-                ).props("dense outlined data-test=policy").classes("entry grow")
                 self.goal = Entry(goal.name, goal.unit, goal.low, goal.high, goal.value,
                                   test="goal")
                 self.take = button("Hand over", self._hand_over, "hand-over", "main")
-            ui.label(
-                f"{fitting.what} {', '.join(fitting.names)}"
-                + (
-                    "."
-                    if self.laboratory.shipped_only
-                    else "; FILE.py:name, or the folder of a training."
-                )
-            ).classes("prose quiet")
-            self.wrong = ui.label("").classes("bad").props("data-test=policy-wrong")
+            own = "" if self.laboratory.shipped_only else "; FILE.py:name; the folder of a training"
+            note(f"{fitting.what} {', '.join(offered)}{own}.")
+            self.wrong = note("", "policy-wrong", "bad")
         with card("Side by side", "compare"):
-            with ui.element("div").classes("cluster"):
-                offered = list(fitting.names)
+            with div("cluster"):
                 chosen = [name for name in offered if name in (offered[0], "proportional")]
-                self.others = ui.select(
+                self.others = box(ui.select(
                     offered, multiple=True, value=chosen if len(chosen) > 1 else offered[:2],
                     label="Policies, on copies of this machine, to the same goal",
                     new_value_mode="add-unique",
-                ).props("dense outlined use-chips").classes("entry grow")
+                ), props="use-chips")
                 self.compare = button("Compare", self._compare, "run-compare", "main")
             self.chart = ui.echart(course_chart([], fitting.shown)).classes("chart")
             self.chart.set_visibility(False)
-            self.table = ui.element("div").classes("results").props("data-test=courses")
+            self.table = div("results", "courses")
 
     # ----------------------------------------------------------------- what is done
+
+    async def _disturb(self, row: Disturbance, value: float) -> Any:
+        axis = self.desk.axis
+        return await self.desk.command(lambda session: disturb(session, axis, row, value))
 
     async def _inject(self, cause: str) -> None:
         axis = self.desk.axis
         if not cause:
             refuse("choose another cause first")
             return
-        refuse(await self.desk.command(lambda session: inject(session, axis, cause)))
+        await self.desk.do(lambda session: inject(session, axis, cause))
 
     async def _clear(self) -> None:
         axis = self.desk.axis
-        refuse(await self.desk.command(lambda session: clear(session, axis)))
+        await self.desk.do(lambda session: clear(session, axis))
 
     async def _keep(self) -> None:
-        name = str(self.label.value or "").strip()[:24]
-        if not self.label.validate():
-            return
-        refuse(await self.desk.command(lambda session: session.keep(name)))
+        if self.label.validate():
+            name = str(self.label.value).strip()[:24]
+            await self.desk.do(lambda session: session.keep(name))
 
     async def _back(self, name: str) -> None:
         refuse(await self.desk.motion(lambda session: session.back(name)))
+
+    async def _on_a_copy(
+        self, made: ui.button, work: Callable[[Machine, str], Awaitable[Any]]
+    ) -> Any:
+        """Return the result of some work on a copy of the machine; None if it fails.
+
+        The reason is shown. A policy is foreign code, so that it may raise anything.
+        """
+        self.wrong.set_text("")
+        made.props("loading")
+        try:
+            twin = await self.desk.ask(lambda session: copy.deepcopy(session.machine))
+            return await work(twin, self.desk.axis)
+        except Exception as error:
+            self._say(error)
+            return None
+        finally:
+            made.props(remove="loading")
+
+    def _say(self, wrong: Any) -> None:
+        self.wrong.set_text(shorten(str(wrong or ""), LONGEST, placeholder=" …"))
 
     async def _hand_over(self) -> None:
         goal, name = self.goal.number(), str(self.policy.value or "").strip()
         if goal is None:
             return
         if not name:
-            self.wrong.set_text("name a policy, a FILE.py:name or the folder of a training")
+            self._say("name a policy, a FILE.py:name or the folder of a training")
             return
-        self.wrong.set_text("")
         if barred := await self.desk.barred():
+            self._say("")
             refuse(barred)
             return
-        self.take.props("loading")
-        try:
-            twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            axis = self.desk.axis
+
+        async def hand_over(twin: Machine, axis: str) -> Any:
             await beside(self.laboratory.prepare, twin, axis, name, goal)
-            words = await self.desk.motion(
+            return await self.desk.motion(
                 lambda s: s.hand_over(self.laboratory.agent(s, axis, name, goal))
             )
-        except Exception as error:  # a policy is a stranger's code
-            words = str(error)
-        finally:
-            self.take.props(remove="loading")
-        self.wrong.set_text(shorten(str(words or ""), LONGEST, placeholder=" …"))
+
+        if words := await self._on_a_copy(self.take, hand_over):
+            self._say(words)
 
     async def _compare(self) -> None:
         names, goal = list(self.others.value or [])[:MOST], self.goal.number()
         if goal is None or not names:
-            self.wrong.set_text("" if names else "choose at least one policy")
+            self._say("" if names else "choose at least one policy")
             return
-        self.wrong.set_text("")
-        self.compare.props("loading")
-        try:
-            twin = await self.desk.ask(lambda s: copy.deepcopy(s.machine))
-            axis = self.desk.axis
-            courses = await beside(self.laboratory.compare, twin, axis, names, goal)
-        except Exception as error:
-            self.wrong.set_text(shorten(str(error), LONGEST, placeholder=" …"))
+        courses = await self._on_a_copy(
+            self.compare,
+            lambda twin, axis: beside(self.laboratory.compare, twin, axis, names, goal),
+        )
+        if courses is None:
             return
-        finally:
-            self.compare.props(remove="loading")
+        chart = course_chart(courses, self.laboratory.fitting(self.desk.axis).shown)
         self.chart.options.clear()
-        self.chart.options.update(course_chart(courses, self.laboratory.fitting(axis).shown))
+        self.chart.options.update(chart)
         self.chart.set_visibility(True)
         self.chart.update()
         self.table.clear()
@@ -213,12 +207,13 @@ class ExperimentsPage:
 
     def show(self) -> None:
         """Show the present state."""
-        session: Any = self.desk.clock.session
-        for row, value, place in self.rows:
-            value.set_text(f"{row.read(session, place) / row.scale:.4g}")
-        injected = self.desk.status["injected"]
+        session: Any = self.desk.bench
+        place = session.axes.index(self.desk.axis)
+        for row, label in self.values.items():
+            label.set_text(f"{row.read(session, place) / row.scale:.4g}")
         self.injected.set_text(
-            "Injected and still present." if injected else "Nothing is injected."
+            "Injected and still present." if self.desk.status["injected"]
+            else "Nothing is injected."
         )
         names = self.desk.shown["kept"]
         if names != self._names:

@@ -1,4 +1,4 @@
-"""The diagram of a homing method, as manuals draw it: where the axis travels, what it looks for."""
+"""The diagram of a homing method, as manuals draw it: the travel, the switches, the pulses."""
 
 from collections.abc import Mapping
 
@@ -6,7 +6,7 @@ from ....drive.diagrams import NEGATIVE, POSITIVE, Method, home_switch, homing_p
 
 LEFT, WIDTH, ROW = 20, 400, 26
 STARTS = (0.25, 0.5, 0.75)
-PAST = 0.022  # how far the drawing passes an edge, so that turning back is seen
+PAST = 0.022  # by which the drawing passes an edge, so that the turn is visible
 
 
 def homing_svg(method: int, own: Mapping[int, Method] | None = None) -> str:
@@ -66,12 +66,12 @@ def _path(path: list[float], y: float, number: int) -> str:
     for step, place in enumerate(path[1:], 1):
         last = step == len(path) - 1
         direction = 1 if place > at else -1
-        if place == at and step > 1:
-            direction = 1 if path[step - 1] < (path[step - 2] if step > 1 else at) else -1
+        if place == at and step > 1:  # it turns where it stands
+            direction = 1 if at < path[step - 2] else -1
         turn = place if last else min(max(place + direction * PAST, 0.004), 0.996)
         points += [(_x(turn), points[-1][1]), (_x(turn), points[-1][1] + 8)]
         at = place
-    drawn = " ".join(f"{x},{height:g}" for x, height in points[:-1] if len(points) > 1)
+    drawn = " ".join(f"{x},{height:g}" for x, height in points[:-1])
     x, height = points[-2] if len(points) > 1 else points[0]
     return (
         f'<g class="run run-{number}"><circle cx="{points[0][0]}" cy="{y}" r="3.5"/>'

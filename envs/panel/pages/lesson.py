@@ -1,11 +1,11 @@
-"""Exercises: the steps, those already done, and mistakes."""
+"""Lessons: the exercises of a course, the steps of one of them, hints and mistakes."""
 
 from nicegui import ui
 
 from ..lessons import Progress, begin, leave
 from ..session import Session
 from .desk import Desk, refuse
-from .widgets import Tag, button, card
+from .widgets import Tag, button, card, div, note
 
 
 class LessonPage:
@@ -15,34 +15,33 @@ class LessonPage:
 
     def __init__(self, desk: Desk):
         self.desk = desk
-        self.lessons = list(desk.clock.session.lessons)
+        self.lessons = list(desk.bench.lessons)
         self._drawn: Progress | None = None
-        with ui.element("div").classes("columns lesson-columns"):
+        with div("columns lesson-columns"):
             with card("Exercises"):
                 for number, lesson in enumerate(self.lessons):
                     item = Tag("button", type="button", data_test=f"lesson-{number}")
                     item.classes("lesson").on("click", lambda _, n=number: self._start(n))
                     with item:
                         Tag("b", f"{number + 1}. {lesson.title}")
-                        Tag("small", lesson.name).classes("mono")  # as the pages of the course say
+                        Tag("small", lesson.name).classes("mono")  # the name in the course's pages
                         Tag("span", lesson.about)
             with card("Exercise", "exercise"):
-                self.head = ui.label("Choose an exercise.").classes("verdict")
-                self.lost = ui.label().classes("lost").props("data-test=lesson-lost role=alert")
+                self.head = note("Choose an exercise.", kind="verdict")
+                self.lost = note("", "lesson-lost", "lost").props("role=alert")
                 self.steps = ui.element("ol").classes("steps")
-                with ui.element("div").classes("cluster"):
+                with div("cluster"):
                     self.hint = button("Hint", self._hint, "hint")
                     self.again = button("Begin again", self._again, "again")
-                    self.leave = button("Leave", self._leave, "leave")
+                    self.leave = button("Leave", lambda: desk.do(leave), "leave")
                     self.next = button("Next exercise", self._next, "next", "main")
 
     async def _start(self, number: int) -> None:
         axis, lesson = self.desk.axis, self.lessons[number]
-
         refuse(await self.desk.motion(lambda session: begin(session, axis, lesson)))
 
     async def _again(self) -> None:
-        pupil = self.desk.clock.session.pupil
+        pupil = self.desk.bench.pupil
         if pupil is not None and pupil.exercise in self.lessons:
             await self._start(self.lessons.index(pupil.exercise))
 
@@ -51,28 +50,25 @@ class LessonPage:
             await self._start(number)
 
     def _after(self, at: Progress | None) -> int | None:
-        """Number of the exercise after one that is done."""
+        """Number of the exercise that follows a finished one."""
         if at is None or at.text or at.wrong or at.exercise not in self.lessons:
             return None
         number = self.lessons.index(at.exercise) + 1
         return number if number < len(self.lessons) else None
-
-    async def _leave(self) -> None:
-        refuse(await self.desk.command(leave))
 
     async def _hint(self) -> None:
         def hint(session: Session) -> None:
             if session.pupil is not None:
                 session.pupil.hint()
 
-        refuse(await self.desk.command(hint))
+        await self.desk.do(hint)
 
     async def _predict(self, option: int) -> None:
         def predict(session: Session) -> None:
             if session.pupil is not None and session.pupil.attempt.asks:
                 session.pupil.predict(option)
 
-        refuse(await self.desk.command(predict))
+        await self.desk.do(predict)
 
     def show(self) -> None:
         """Show the present step."""

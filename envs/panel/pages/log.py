@@ -4,7 +4,7 @@ from nicegui import ui
 
 from ..log import KINDS, Event
 from .desk import Desk
-from .widgets import button, card
+from .widgets import box, button, card, div, note, table
 
 SHOWN = 200  # rows
 ALL = "everything"
@@ -20,20 +20,13 @@ class LogPage:
         self.desk = desk
         self._last: tuple[int, str] = (-1, "")
         with card("Log", "log"):
-            with ui.element("div").classes("cluster"):
-                self.kind = ui.select([ALL, *KINDS], value=ALL, label="Show")
-                self.kind.props("dense outlined data-test=log-kind").classes("entry")
+            with div("cluster"):
+                self.kind = box(ui.select([ALL, *KINDS], value=ALL, label="Show"), "log-kind", "")
                 ui.space()
                 button("CSV", self._csv, "log-csv")
-            self.table = ui.table(
-                columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in COLUMNS],
-                rows=[], row_key="number", pagination=0,
-            )
-            self.table.props("dense flat wrap-cells hide-bottom data-test=events").classes("events")
-            ui.label(
-                f"The latest {SHOWN} events, newest first; the file has all of them. Times are "
-                "seconds of machine time since the panel started."
-            ).classes("prose quiet")
+            self.table = table(COLUMNS, "number", "events").classes("events")
+            note(f"The latest {SHOWN} events, newest first; the CSV file contains all of them. "
+                 "Times are seconds of machine time since the panel started.")
 
     async def _csv(self) -> None:
         text = await self.desk.ask(lambda session: session.log.csv())

@@ -17,7 +17,7 @@ from ...autotune.tune import Tuned, tune
 from ...engine.machine import Machine
 from .charts import SMALL, bode_chart, move_chart, step_chart
 from .desk import Desk, Refusal, beside, refuse
-from .widgets import TOGGLE, Entry, Tag, button, card, two_sided
+from .widgets import Entry, Tag, button, card, div, note, toggle, two_sided
 
 TAKE_OVER, PUT_BACK = "Take over", "Put back"
 VIEWS = {"bode": "Bode", "step": "Step", "move": "Move"}
@@ -32,49 +32,43 @@ class LoopsPage:
         self.desk = desk
         self.responses: list[Response] = []
         self.tuned: Tuned | None = None
-        self.taken: dict[str, int] | None = None  # what the drive had before
+        self.taken: dict[str, int] | None = None  # the gains that the drive had before
         self._taking = asyncio.Lock()
-        with ui.element("div").classes("columns loop-columns"):
+        with div("columns loop-columns"):
             with card("Open loops, measured", "bode"):
-                self.view = ui.toggle(VIEWS, value="bode", on_change=self._draw)
-                self.view.props(f"{TOGGLE} data-test=loop-view")
+                self.view = toggle(VIEWS, "bode", self._draw, "loop-view")
                 self.view.set_visibility(False)
-                self.hint = ui.label("Measure the loops, or tune a copy.").classes("prose quiet")
+                self.hint = note("Measure the loops, or tune a copy.")
                 self.chart = ui.echart(bode_chart([])).classes("chart tall")
                 self.chart.set_visibility(False)
-            with ui.element("div").classes("stack"):
+            with div("stack"):
                 self._measurement()
                 self._tuning()
                 with card("Margins"):
-                    self.margins = ui.element("div").classes("results margins")
-                    self.margins.props("data-test=margins")
+                    self.margins = div("results margins", "margins")
                     with self.margins:
                         Tag("span", "Nothing has been measured yet.").classes("whole quiet")
 
     def _measurement(self) -> None:
         with card("Measurement"):
-            with ui.element("div").classes("cluster"):
+            with div("cluster"):
                 self.amplitude = Entry("Amplitude", "% rated", 0.5, 100, 10, test="amplitude")
                 self.measure = button("Measure", self._measure, "measure", "main")
-            ui.label(
-                "A multisine is added to the torque while the axis travels to and fro, on a copy "
-                "of the machine with the present gains."
-            ).classes("prose quiet")
-            self.wrong = ui.label("").classes("bad").props("data-test=bode-wrong")
+            note("A multisine is added to the torque while the axis travels to and fro, on a copy "
+                 "of the machine with the present gains.")
+            self.wrong = note("", "bode-wrong", "bad")
 
     def _tuning(self) -> None:
         with card("Autotuning", "tuning"):
-            with ui.element("div").classes("cluster"):
+            with div("cluster"):
                 self.gain = Entry("Gain margin", "dB", 2, 40, 6, test="gain-margin")
                 self.phase = Entry("Phase margin", "°", 10, 80, 35, test="phase-margin")
                 self.tune = button("Tune a copy", self._tune, "tune", "main")
-            ui.label(
-                "Measures the plant and fits gains that keep these margins; the machine itself "
-                "gets them when they are taken over."
-            ).classes("prose quiet")
-            self.verdict = ui.label("").classes("prose").props("data-test=tune-verdict")
-            self.gains = ui.element("div").classes("results gains").props("data-test=gains")
-            with ui.element("div").classes("cluster"):
+            note("Measures the plant and fits gains that keep these margins. Take over writes the "
+                 "gains to the drive.")
+            self.verdict = note("", "tune-verdict", "prose")
+            self.gains = div("results gains", "gains")
+            with div("cluster"):
                 self.take = two_sided(TAKE_OVER, self._take, "take-gains", "main")
                 self.discard = button("Discard", self._discard, "discard-gains")
             self._buttons()
@@ -82,7 +76,7 @@ class LoopsPage:
     # --------------------------------------------------------------- on a copy
 
     async def _on_a_copy(self, made: ui.button, work: Callable[[Machine], Any]) -> Any:
-        """What comes of it; None where it is refused, which is then said, or the drive's fault."""
+        """Return the result of some work on a copy; None where it fails, and show the reason."""
         axis, bench = self.desk.axis, self.desk.bench
         self.wrong.set_text("")
         if said := faulty(axis, *bench.fault_of(axis)):
@@ -95,8 +89,7 @@ class LoopsPage:
         if not isinstance(done, Refusal):
             return done
         drive = twin.drives[axis]
-        fault = (drive.fault, remedy(drive.axis)) if drive.fault else ("", "")
-        self.wrong.set_text(faulty(axis, fault[0], fault[1], "the copy") or done)
+        self.wrong.set_text(faulty(axis, drive.fault, remedy(drive.axis), "the copy") or done)
         return None
 
     async def _measure(self) -> None:
@@ -142,22 +135,19 @@ class LoopsPage:
                 Tag("span", unit).classes("quiet")
         self._buttons()
 
-    # ----------------------------------------------------------- taken, or not
+    # ------------------------------------------------------ taken over, or not
 
     async def _take(self, shown: str) -> None:
-        async with self._taking:  # pressed twice, it is done once
+        async with self._taking:  # two presses take over once
             if self.tuned is not None and shown == self.take.text:
                 await self._take_or_put_back(self.tuned)
 
     async def _take_or_put_back(self, tuned: Tuned) -> None:
-        axis = self.desk.axis
-        if self.taken is None:
-            before = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
-            words = await self.desk.command(lambda s: s.commission(axis, tuned.objects))
-            taken: dict[str, int] | None = before
-        else:
-            back, taken = self.taken, None
-            words = await self.desk.command(lambda s: s.commission(axis, back))
+        axis, taken, gains = self.desk.axis, None, self.taken
+        if gains is None:
+            taken = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
+            gains = tuned.objects
+        words = await self.desk.command(lambda s: s.commission(axis, gains))
         refuse(words)
         if words:
             return
@@ -229,7 +219,7 @@ class LoopsPage:
         self.chart.update()
 
     def show(self) -> None:
-        """Nothing changes by itself."""
+        """Do nothing: this page changes only when a button is pressed."""
 
 
 def faulty(axis: str, fault: str, remedy: str, what: str = "it") -> str:

@@ -9,7 +9,7 @@ from nicegui.element import Element
 from ..geometry import Poses, scene
 from ..session import Session
 from .desk import Desk
-from .widgets import Tag, button, card
+from .widgets import Tag, button, card, div
 
 STATIC = Path(__file__).parents[1] / "static"
 THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
@@ -20,7 +20,7 @@ LEGEND = (
 
 
 class Scene(Element, component=STATIC / "scene.js", esm={"nicegui-scene": str(THREE)}):
-    """The picture."""
+    """The picture in 3D."""
 
 
 class MachinePage:
@@ -36,7 +36,7 @@ class MachinePage:
         with card("Machine", "machine-card"):
             self.scene = Scene()
             self.scene.on("ready", self._begin, [])
-            with Tag("div").classes("cluster legend"):
+            with div("cluster legend"):
                 for text, colour in LEGEND:
                     with Tag("span").classes("legend-item"):
                         Tag("i", style=f"background: var({colour})")
@@ -47,7 +47,7 @@ class MachinePage:
         self._ready, self._built = True, False
 
     async def show(self) -> None:
-        """The present."""
+        """Show the present poses."""
         if not self._ready:
             return
         if not self._built:

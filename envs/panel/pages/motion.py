@@ -7,13 +7,13 @@ from typing import Any
 from nicegui import ui
 
 from ....drive.model.rows import Object
-from .desk import Desk, over, refuse
+from .desk import Desk, refuse
 from .homing_diagram import homing_svg
 from .set_points import SetPointCard
 from .units import physical
-from .widgets import Entry, Readout, Tag, button, card, formatted, live
+from .widgets import Entry, Readout, Tag, box, button, card, div, formatted, live, note
 
-# what shapes a motion, by kind; objects a model does not have are left out
+# objects that shape a motion, by kind; those that a model does not have are left out
 PARAMETERS = {
     "Profile": (
         "profile_velocity", "profile_acceleration", "profile_deceleration",
@@ -33,15 +33,15 @@ PARAMETERS = {
         "velocity_filter_time", "velocity_feed_forward", "acceleration_feed_forward",
     ),
 }
-SHOWN_WITHIN = 1.0  # s, in which a drive that has taken a mode shows it
-FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has the first
+SHOWN_WITHIN = 1.0  # s, within which a drive that has accepted a mode displays it
+FASTEST = ("max_profile_velocity", "profile_velocity")  # not every model has the first one
 
 
 class Choice:
     """A value chosen in a list, kept until the drive displays it.
 
-    Otherwise the list would show the previous value again for a moment, and choosing that value
-    would send nothing to the drive.
+    Without this, the list would show the previous value again for a moment, and choosing that
+    value then would send nothing to the drive.
     """
 
     def __init__(self) -> None:
@@ -77,71 +77,65 @@ class MotionPage:
 
     def __init__(self, desk: Desk):
         self.desk = desk
-        axis = desk.axis
-        self.model = desk.bench.model(axis)
+        self.model = desk.bench.model(desk.axis)
         self._choice = Choice()
-        self.names = {row.name: row for row in desk.bench.rows(axis)}
-        self.unit, self.scale = desk.bench.unit(axis)
-        with ui.element("div").classes("columns motion-columns"):
-            with ui.element("div").classes("stack"):
+        self.names = {row.name: row for row in desk.bench.rows(desk.axis)}
+        self.unit, self.scale = desk.bench.unit(desk.axis)
+        with div("columns motion-columns"):
+            with div("stack"):
                 self._power()
                 self._move()
                 self._jog()
                 SetPointCard(desk)
-            with ui.element("div").classes("stack"):
+            with div("stack"):
                 self._readouts()
                 self._homing()
-            with ui.element("div").classes("stack"):
+            with div("stack"):
                 self._parameters()
 
     def _power(self) -> None:
+        go = self.desk.go
         with card("Power and mode"):
-            with ui.element("div").classes("cluster"):
-                button("Enable", lambda: self._go("enable"), "enable", "main")
-                button("Disable", lambda: self._go("disable", at_once=True), "disable")
-                button("Reset fault", lambda: self._go("reset_fault"), "motion-reset")
+            with div("cluster"):
+                button("Enable", lambda: go("enable"), "enable", "main")
+                button("Disable", lambda: go("disable", at_once=True), "disable")
+                button("Reset fault", lambda: go("reset_fault"), "motion-reset")
             modes = {
                 int(mode): f"{self.model.mode_name(mode)} · {mode.name.replace('_', ' ').lower()}"
                 for mode in self.model.modes
             }
             present = self.desk.status["mode"]
-            self.mode = (
-                ui.select(
-                    modes,
-                    label="Mode of operation 6060h",
-                    value=present if present in modes else None,
-                    on_change=lambda event: self._mode(event.value),
-                )
-                .props("dense outlined data-test=mode")
-                .classes("entry wide")
-            )
+            self.mode = box(ui.select(
+                modes, label="Mode of operation 6060h", value=present if present in modes else None,
+                on_change=lambda event: self._mode(event.value),
+            ), "mode", "wide")
 
     def _move(self) -> None:
         with card("Move"):
-            self.target = Entry("Target", self.unit, test="target", send=self._absolute)
-            with ui.element("div").classes("cluster"):
+            self.target = Entry("Target", self.unit, test="target", send=self._move_to)
+            with div("cluster"):
                 button("Move to", lambda: self.target.apply(), "move-to", "main")
-                button("Move by", self._relative, "move-by")
-                button("Stop", self._stop, "stop").props(
-                    "title='Any window may. The axis keeps its power.'"
+                button("Move by", self._move_by, "move-by")
+                button("Stop", lambda: self.desk.halt("stop", self.desk.axis), "stop").props(
+                    "title='Every window may stop. The axis keeps its power.'"
                 )
 
     def _jog(self) -> None:
         with card("Jog"):
             self.jog = Entry("Speed", f"{self.unit}/s", 0.001, test="jog-speed")
             self._jog_speed = 0.0
-            with ui.element("div").classes("cluster jog-row"):
+            with div("cluster jog-row"):
                 for sign, text, name in ((-1, "◀  negative", "jog-negative"),
                                          (1, "positive  ▶", "jog-positive")):
-                    made = button(text, lambda: None, name, "jog")
+                    made = button(text, None, name, "jog")
                     made.on("pointerdown", lambda _, sign=sign: self.run(sign))
                     for event in ("pointerup", "pointerleave", "pointercancel"):
                         made.on(event, self.rest)
-            ui.label("Hold the button, or the arrow keys.").classes("prose quiet")
+            note("Hold a button, or an arrow key.")
 
     def _readouts(self) -> None:
         with card("Now"):
-            with ui.element("div").classes("readouts"):
+            with div("readouts"):
                 self.position = Readout("Position", self.unit, "position")
                 self.velocity = Readout("Velocity", f"{self.unit}/s", "velocity")
                 self.torque = Readout("Torque", "% rated")
@@ -155,25 +149,19 @@ class MotionPage:
                 for method in sorted(self.model.homing_methods)
             }
             present = self.desk.status["homing_method"]
-            with ui.element("div").classes("cluster"):
-                self.method = (
-                    ui.select(
-                        methods,
-                        label="Method 6098h",
-                        value=present if present in methods else None,
-                        on_change=lambda: self._draw(),
-                    )
-                    .props("dense outlined data-test=homing-method")
-                    .classes("entry grow")
-                )
+            with div("cluster"):
+                self.method = box(ui.select(
+                    methods, label="Method 6098h", value=present if present in methods else None,
+                    on_change=self._draw,
+                ), "homing-method")
                 button("Home", self._home, "home", "main")
             self.diagram = ui.html("", sanitize=False).classes("homing-box")
-            self.homed = ui.label("").classes("prose").props("data-test=homed")
+            self.homed = note("", "homed", "prose")
             self._draw()
 
     def _parameters(self) -> None:
         self.rows: list[_Parameter] = []
-        with card("Parameters", "parameters"), ui.element("div").classes("parameters"):
+        with card("Parameters", "parameters"), div("parameters"):
             for kind, names in PARAMETERS.items():
                 known = [name for name in names if name in self.names]
                 if known:
@@ -186,22 +174,18 @@ class MotionPage:
             homing_svg(int(method), self.model.own_homing) if method is not None else ""
         )
 
-    async def _stop(self) -> None:
-        axis = self.desk.axis
-        refuse(await self.desk.stop(lambda session: session.stop(axis)))
-
     async def _home(self) -> None:
         method = self.method.value
         if method is None:
             ui.notify("choose a homing method first", type="warning")
             return
-        await self._go("home", int(method))
+        await self.desk.go("home", int(method))
 
     def _mode(self, mode: int | None) -> Awaitable[None] | None:
-        """Send what was chosen, which counts at once.
+        """Send the chosen mode. `Choice` is asked here, before the event loop runs anything else.
 
-        Were it looked at later, the next picture could set the list back before, and that would
-        be sent as another choice.
+        Otherwise the next picture could set the list back first, which would be sent as another
+        choice.
         """
         if mode is None or not self._choice.is_new(mode, self.desk.status["mode"]):
             return None
@@ -209,42 +193,35 @@ class MotionPage:
 
     async def _set_mode(self, mode: int) -> None:
         try:
-            await self._go("set_mode", mode)
+            await self.desk.go("set_mode", mode)
         finally:
             self._choice.arrived(time.monotonic())
 
-    async def _go(self, what: str, *arguments: Any, at_once: bool = False) -> None:
-        axis, desk = self.desk.axis, self.desk
-        refuse(await desk.motion(lambda s: getattr(s, what)(axis, *arguments), at_once=at_once))
+    async def _move_to(self, target: float, *, relative: bool = False) -> Any:
+        axis, position = self.desk.axis, target / self.scale
+        return await self.desk.motion(lambda s: s.move(axis, position, relative=relative))
 
-    async def _absolute(self, target: float) -> str:
-        axis = self.desk.axis
-        words = await self.desk.motion(lambda s: s.move(axis, target / self.scale))
-        return "" if over(words) else str(words or "")
-
-    async def _relative(self) -> None:
-        by, axis = self.target.number(), self.desk.axis
-        if by is not None:
-            words = await self.desk.motion(lambda s: s.move(axis, by / self.scale, relative=True))
-            if words and not over(words):
-                self.target.refuse(str(words))
+    async def _move_by(self) -> None:
+        distance = self.target.number()
+        if distance is not None:
+            self.target.refuse(await self._move_to(distance, relative=True))
 
     async def run(self, sign: int) -> None:
         """Begin to jog."""
         speed = self.jog.number()
         if speed is None:
             return
-        if not self.desk.in_control:  # until the answer is there, the key may be released
+        if not self.desk.in_control:  # the key may be released before the session has answered
             refuse(await self.desk.barred() or "control has only now been taken: jog again")
             return
         self.desk.jogging = True
-        await self._go("jog", sign * speed / self.scale)
+        await self.desk.go("jog", sign * speed / self.scale)
 
     async def rest(self) -> None:
-        """End jogging, if it does."""
+        """End jogging, if this tab jogs."""
         if self.desk.jogging:
             self.desk.jogging = False
-            await self._go("jog", 0.0, at_once=True)
+            await self.desk.go("jog", 0.0, at_once=True)
 
     def _top_speed(self) -> None:
         """Set the range of the jog speed, and a twentieth of it as the initial value."""
@@ -271,7 +248,7 @@ class MotionPage:
             else "The axis is referenced." if seen["homed"] else "Not referenced yet."
         )
         keeps = self._choice.keeps(seen["mode"], time.monotonic())
-        if not keeps and seen["mode"] in self.mode.options and self.mode.value != seen["mode"]:
+        if not keeps and seen["mode"] in self.mode.options:
             self.mode.set_value(seen["mode"])
         if self.method.value is None and seen["homing_method"] in self.method.options:
             self.method.set_value(seen["homing_method"])
@@ -299,28 +276,23 @@ class _Parameter:
     """An object of the drive: its live value, and a field for a new one."""
 
     def __init__(self, desk: Desk, row: Object):
-        self.desk, self.name, self.row = desk, row.name, row
+        self.desk, self.name = desk, row.name
         self.factor, self.unit = physical(desk.bench, desk.axis, row)
         self.address = f"{row.index:04X}h:{row.subindex:02X}"
-        with ui.element("div").classes("parameter"):
-            with ui.element("div").classes("parameter-name"):
-                ui.label(row.name.replace("_", " "))
-                self.plain = ui.label(f"{self.address} {row.unit}").classes("quiet")
-            self.value = (
-                ui.label("").classes("parameter-value").props(f"data-test=value-{row.name}")
-            )
-            self.entry = Entry(
+        words = row.name.replace("_", " ")
+        with div("parameter"):
+            with div("parameter-name"):
+                ui.label(words)
+                self.plain = note(f"{self.address} {row.unit}", kind="quiet")
+            self.value = note("", f"value-{row.name}", "parameter-value")
+            Entry(
                 "", "", row.minimum, row.maximum, send=self._send, whole=not row.real,
-                test=f"set-{row.name}", spoken=f"{row.name.replace('_', ' ')} {self.address}",
+                test=f"set-{row.name}", spoken=f"{words} {self.address}",
             )
 
-    async def _send(self, value: float) -> str:
+    async def _send(self, value: float) -> Any:
         axis, name = self.desk.axis, self.name
-        words = await self.desk.command(lambda session: session.command(axis, name, value))
-        if not words:
-            self.entry.field.value = ""
-            self.entry.field.error = None
-        return str(words or "")
+        return await self.desk.command(lambda session: session.command(axis, name, value))
 
     def show(self) -> None:
         """Show the present value."""
@@ -336,41 +308,31 @@ class _Stroke:
 
     def __init__(self, desk: Desk):
         bench, axis = desk.bench, desk.axis
-        named = {row.name for row in bench.rows(axis)}
+        present = {row.name for row in bench.rows(axis)}
         names = [f"{end}_position_{limit}" for limit in ("limit", "range_limit")
                  for end in ("min", "max")]
         scale = bench.units(axis).position * bench.unit(axis)[1]
 
-        def ends() -> tuple[float, ...]:
-            known = [bench.value(axis, name) if name in named else None for name in names]
-            low, high, *turn = (float(end or 0.0) * scale for end in known)
-            return (low, high) if low < high else tuple(turn)  # 607Bh where places repeat
+        def ends() -> tuple[float, float]:
+            values = [bench.value(axis, name) if name in present else None for name in names]
+            low, high, *turn = (float(value or 0.0) * scale for value in values)
+            if low >= high:
+                low, high = turn  # 607Bh: the range after which positions repeat
+            return (low, high) if low < high else (-180.0, 180.0)
 
         self._ends = ends
-        with ui.element("div").classes("stroke"):
-            with ui.element("div").classes("stroke-bar"):
-                self.target = ui.element("div").classes("stroke-target")
-                self.here = ui.element("div").classes("stroke-here")
-            with ui.element("div").classes("stroke-scale"):
+        with div("stroke"):
+            with div("stroke-bar"):
+                self.places = {name: div(f"stroke-{name}") for name in ("target", "position")}
+            with div("stroke-scale"):
                 self.marks = [Tag("span") for _ in range(5)]
-        self._scaled: tuple[float, float] | None = None
-        self._at: tuple[float, float] = (-1.0, -1.0)
 
     def show(self, seen: dict[str, Any]) -> None:
         """Show the present position."""
         low, high = self._ends()
-        low, high = (low, high) if low < high else (-180.0, 180.0)
-        if (low, high) != self._scaled:
-            self._scaled = low, high
-            for part, mark in enumerate(self.marks):
-                mark.say(f"{low + (high - low) * part / 4:g}")
+        for part, mark in enumerate(self.marks):
+            mark.say(f"{low + (high - low) * part / 4:g}")
         wide = (high - low) * 1.12
-        places = [
-            min(max((seen[name] - low + wide * 0.0536) / wide * 100, 0.0), 100.0)
-            for name in ("position", "target")
-        ]
-        at = round(places[0], 1), round(places[1], 1)
-        if at != self._at:
-            self._at = at
-            self.here.style(f"left:{at[0]}%")
-            self.target.style(f"left:{at[1]}%")
+        for name, place in self.places.items():
+            share = (seen[name] - low + wide * 0.0536) / wide
+            place.style(f"left:{min(max(share * 100, 0.0), 100.0):.1f}%")

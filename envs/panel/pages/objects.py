@@ -1,11 +1,13 @@
 """Objects: the whole dictionary with live values, a field to write, parameter sets."""
 
+from typing import Any
+
 from nicegui import events, ui
 
 from ....drive.model.rows import Object
 from .comparing import CompareCard
 from .desk import Desk
-from .widgets import Entry, button, card, file_button, hexadecimal
+from .widgets import Entry, box, button, card, div, file_button, hexadecimal, lit, note
 
 EVERY = 12  # pictures between two readings of all values
 COLUMNS = (
@@ -35,54 +37,55 @@ class ObjectsPage:
         self._count = 0
         self._values: dict[str, str] = {}
         self.chosen: str | None = None
-        with ui.element("div").classes("columns objects-columns"):
+        with div("columns objects-columns"):
             with card("Object dictionary"):
-                with ui.element("div").classes("cluster"):
-                    self.search = (
-                        ui.input("Search by name, index or unit", on_change=lambda: self._filter())
-                        .props("dense outlined clearable data-test=search")
-                        .classes("entry grow")
-                    )
-                    self.search.on("keydown.enter", self._choose_first)
-                    self.found = ui.label("").classes("quiet")
-                columns = [
-                    {"name": n, "field": n, "label": text, "align": side, "sortable": n != "value"}
-                    for n, text, side in COLUMNS
-                ]
-                self.table = ui.table(
-                    rows=[], columns=columns, row_key="address", pagination=0
-                ).classes("objects").props(
-                    'virtual-scroll dense flat hide-bottom data-test=objects '
-                    'virtual-scroll-sticky-size-start=32'
-                )
-                self.table.on("rowClick", self._choose, [[], ["address"], []])
-            with ui.element("div").classes("stack"):
-                with card("Object", "object-card"):
-                    self.head = ui.label("Choose an object.").classes("verdict")
-                    self.head.props("data-test=object")
-                    self.about = ui.label("").classes("prose quiet")
-                    self.live = ui.label("").classes("readout-value").props("data-test=live")
-                    self.hexadecimal = ui.label("").classes("mono quiet").props("data-test=hex")
-                    self.entry = Entry("New value", send=self._write, test="object-value")
-                    self.write = button("Write", lambda: self.entry.apply(), "write", "main")
-                    self.entry.field.set_visibility(False)
-                    self.write.set_visibility(False)
+                self._dictionary()
+            with div("stack"):
+                self._object()
                 if desk.bench.commands:
                     CompareCard(desk)
-                with card("Parameter set"):
-                    self.loaded = ui.label("").classes("prose").props("data-test=loaded")
-                    if why := desk.bench.absent.get("parameters"):
-                        self.loaded.set_text(why)
-                        self.loaded.classes("quiet")
-                        self._filter()
-                        return
-                    ui.label(
-                        "All storable objects as one file, with the model and a checksum."
-                    ).classes("prose quiet")
-                    button("Save to a file", self._save, "save-parameters")
-                    file_button("Load a file …", self._load, "load-parameters")
-                    self.loaded.move(target_index=-1)
+                self._parameters()
         self._filter()
+
+    def _dictionary(self) -> None:
+        with div("cluster"):
+            self.search = box(
+                ui.input("Search by name, index or unit", on_change=self._filter), "search",
+                props="clearable",
+            )
+            self.search.on("keydown.enter", self._choose_first)
+            self.found = note("", kind="quiet")
+        columns = [
+            {"name": n, "field": n, "label": text, "align": side, "sortable": n != "value"}
+            for n, text, side in COLUMNS
+        ]
+        self.table = ui.table(rows=[], columns=columns, row_key="address", pagination=0)
+        self.table.classes("objects").props(
+            "virtual-scroll dense flat hide-bottom data-test=objects "
+            "virtual-scroll-sticky-size-start=32"
+        )
+        self.table.on("rowClick", self._choose, [[], ["address"], []])
+
+    def _object(self) -> None:
+        with card("Object", "object-card"):
+            self.head = note("Choose an object.", "object", "verdict")
+            self.about = note("")
+            self.live = note("", "live", "readout-value")
+            self.hexadecimal = note("", "hex", "mono quiet")
+            self.entry = Entry("New value", send=self._write, test="object-value")
+            self.write = button("Write", lambda: self.entry.apply(), "write", "main")
+            self.entry.field.set_visibility(False)
+            self.write.set_visibility(False)
+
+    def _parameters(self) -> None:
+        with card("Parameter set"):
+            if why := self.desk.bench.absent.get("parameters"):
+                note(why, "loaded")
+                return
+            note("All storable objects as one file, with the model and a checksum.")
+            button("Save to a file", self._save, "save-parameters")
+            file_button("Load a file …", self._load, "load-parameters")
+            self.loaded = note("", "loaded", "prose")
 
     def _filter(self) -> None:
         words = str(self.search.value or "").lower().split()
@@ -112,8 +115,8 @@ class ObjectsPage:
 
     def _take(self, address: str) -> None:
         self.chosen = address
-        row = self.rows[self.chosen]
-        self.head.set_text(f"{self.chosen} {row.name.replace('_', ' ')}")
+        row = self.rows[address]
+        self.head.set_text(f"{address} {row.name.replace('_', ' ')}")
         default = f"default {row.default}" if row.format else ""
         parts = (row.data_type, row.access, row.unit, _range(row), default,
                  "stored by 1010h" if row.storable else "", row.section, row.note)
@@ -121,20 +124,20 @@ class ObjectsPage:
         writable = row.access not in ("ro", "const") and bool(row.format)
         self.entry.low, self.entry.high = row.minimum, row.maximum
         self.entry.unit, self.entry.whole = row.unit, not row.real
-        self.entry.field.value, self.entry.field.error = "", None
+        self.entry.empty()
         self.entry.field.set_visibility(writable)
         self.write.set_visibility(writable)
 
-    async def _write(self, value: float) -> str:
+    async def _write(self, value: float) -> Any:
         axis = self.desk.axis
         if self.chosen is None:
             return "choose an object first"
         row = self.rows[self.chosen]
         words = await self.desk.command(lambda s: s.command(axis, row.index, row.subindex, value))
         if not words:
-            self.entry.field.value, self.entry.field.error = "", None
+            self.entry.empty()
             self._count = 0  # the table shows it with the next picture
-        return str(words or "")
+        return words
 
     async def _save(self) -> None:
         axis = self.desk.axis
@@ -146,29 +149,29 @@ class ObjectsPage:
         axis, content = self.desk.axis, await event.file.read()
         words = await self.desk.motion(lambda session: session.load_parameters(axis, content))
         self.loaded.set_text(str(words) if words else f"{event.file.name} is in force.")
-        self.loaded.classes(**({"add": "bad"} if words else {"remove": "bad"}))
+        lit(self.loaded, "bad", bool(words))
 
     async def show(self) -> None:
-        """The present; all values now and then, that of the chosen object always."""
+        """Show the present values: of all objects now and then, of the chosen object always."""
         axis = self.desk.axis
         if self._count % EVERY == 0:
             shown = [*self.table.rows]
-            rows = [self.rows[row["address"]] for row in shown]
+            rows = [self.rows[line["address"]] for line in shown]
             texts = await self.desk.ask(lambda bench: bench.texts(axis, rows))
             changed = False
-            for row, text in zip(shown, texts, strict=True):
-                changed = changed or row["value"] != text
-                row["value"] = self._values[row["address"]] = text
-            if shown != [*self.table.rows]:  # somebody has searched meanwhile
+            for line, text in zip(shown, texts, strict=True):
+                changed = changed or line["value"] != text
+                line["value"] = self._values[line["address"]] = text
+            if shown != [*self.table.rows]:  # the user has searched meanwhile
                 return
             if changed:
                 self.table.update()
         elif chosen := self.chosen:
-            its = self.rows[chosen]
-            (self._values[chosen],) = await self.desk.ask(lambda s: s.texts(axis, [its]))
+            row = self.rows[chosen]
+            (self._values[chosen],) = await self.desk.ask(lambda s: s.texts(axis, [row]))
         self._count += 1
         if self.chosen:
-            its = self.rows[self.chosen]
+            row = self.rows[self.chosen]
             value = self._values.get(self.chosen, "")
-            self.live.set_text(f"{value} {its.unit}".strip())
-            self.hexadecimal.set_text(hexadecimal(value, its))
+            self.live.set_text(f"{value} {row.unit}".strip())
+            self.hexadecimal.set_text(hexadecimal(value, row))

@@ -1,4 +1,4 @@
-"""Scope: channels by name, a trigger that sees every sample, zoom, cursors, export."""
+"""Scope: channels by name, a trigger that evaluates every sample, zoom, cursors, export."""
 
 import base64
 import json
@@ -9,12 +9,12 @@ import numpy as np
 from nicegui import events, ui
 from nicegui.element import Element
 
-from ....drive.trace import Edge
+from ....drive.trace import Edge, Trigger
 from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
-from .desk import Desk, refuse
+from .desk import Desk
 from .units import physical
-from .widgets import TOGGLE, Entry, Tag, button, card, file_button
+from .widgets import Entry, Tag, box, button, card, div, file_button, note, toggle
 
 STATIC = Path(__file__).parents[1] / "static"
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a", "#8b6fd6", "#12a5a5", "#b08a1e", "#7a8291")
@@ -25,11 +25,7 @@ EDGES = {
 RUNS = {int(Run.ROLL): "Roll", int(Run.NORMAL): "Normal", int(Run.SINGLE): "Single"}
 
 
-class Plot(
-    Element,
-    component=STATIC / "scope.js",
-    esm={"uplot": str(STATIC / "uplot")},
-):
+class Plot(Element, component=STATIC / "scope.js", esm={"uplot": str(STATIC / "uplot")}):
     """The chart of the scope."""
 
     def configure(self, channels: list[dict[str, Any]]) -> None:
@@ -55,82 +51,78 @@ class ScopePage:
         self._factors = np.ones((1, 1))
         self._plotted = False
         ui.add_css((STATIC / "uplot" / "uPlot.css").read_text(encoding="utf-8"))
-        bench = desk.bench
-        offered, scope = bench.channels(), bench.scope
-        with ui.element("div").classes("columns scope-columns"):
+        offered = desk.bench.channels()
+        with div("columns scope-columns"):
             with card("Scope", "scope"):
-                with ui.element("div").classes("cluster scope-bar"):
-                    self.state = ui.label("").classes("chip").props("data-test=scope-state")
-                    self.freeze = button("Freeze", self._freeze, "freeze", "main")
-                    button("Zoom out", lambda: self.plot.run_method("unzoom"))
-                    button("Cursor A", lambda: self.plot.run_method("mark", "a"))
-                    button("Cursor B", lambda: self.plot.run_method("mark", "b"))
-                    button("No cursors", lambda: self.plot.run_method("unmark"))
-                    ui.space()
-                    self.physical = ui.switch("mm, mm/s, %", value=True, on_change=self._units)
-                    self.physical.props("dense data-test=physical")
-                    self.physical.props('title="physical units, or those of the drive"')
-                    button("CSV", self._csv, "csv")
-                    button("PNG", lambda: self.plot.run_method("png", desk.bench.title), "png")
-                self.plot = Plot()
-                self.plot.on("ready", self._ready, [])
-                ui.label(
-                    "Drag to zoom, double-click to zoom out. Keys a and b set cursors at the "
-                    "pointer, ← and → move the last one, Delete removes them."
-                ).classes("prose quiet")
-            with ui.element("div").classes("stack"):
-                with card("Channels"):
-                    self.chosen = ui.select(
-                        offered, multiple=True, value=list(scope.channels),
-                        label="Objects, or fields of the record" if bench.fields() else "Objects",
-                        with_input=True, on_change=self._choose,
-                    )
-                    self.chosen.props("dense outlined use-chips data-test=channels").classes(
-                        "entry wide"
-                    )
-                with card("Trigger"):
-                    self.run = ui.toggle(RUNS, value=int(scope.run), on_change=self._trigger)
-                    self.run.props(f"{TOGGLE} spread data-test=trigger-run")
-                    trigger = scope.trigger
-                    self.channel = ui.select(
-                        offered, label="Channel", with_input=True, on_change=self._trigger,
-                        value=trigger.channel if trigger else scope.channels[0],
-                    )
-                    self.channel.props("dense outlined data-test=trigger-channel")
-                    self.channel.classes("entry wide")
-                    with ui.element("div").classes("cluster"):
-                        self.edge = ui.select(
-                            EDGES, label="Edge", value=int(trigger.edge if trigger else 0),
-                            on_change=self._trigger,
-                        )
-                        self.edge.props("dense outlined data-test=trigger-edge")
-                        self.edge.classes("entry grow")
-                        self.level = Entry(
-                            "Level", "", -1e12, 1e12, trigger.level if trigger else 0,
-                            self._level, test="trigger-level",
-                        )
-                    button("Arm", self._trigger, "arm", "main")
-                if bench.beside is not None:
-                    with card("Twin"), ui.element("div").classes("cluster"):
+                self._plot()
+            with div("stack"):
+                self._channels(offered)
+                self._triggers(offered)
+                if desk.bench.beside is not None:
+                    with card("Twin"), div("cluster"):
                         self.twin = Tag("span", "", data_test="twin-state").classes("prose")
                         button("Align", self._align, "align-twin").props(
                             'title="Place the twin where the axis stands, in its mode"'
                         )
-                with card("Set-up"), ui.element("div").classes("cluster"):
+                with card("Set-up"), div("cluster"):
                     button("Save …", self._save, "save-set-up")
                     file_button("Load …", self._load, "load-set-up")
-                with card("Time"), ui.element("div").classes("cluster"):
-                    longest = scope.depth * scope.period
-                    self.span = Entry("Window", "s", 10 * scope.period, longest, scope.span,
-                                      self._window, test="window")
-                    self.before = Entry("Pre-trigger", "%", 0, 95, scope.before * 100,
-                                        self._window, test="pre-trigger")
-                self.about = ui.label("").classes("prose quiet")
-        rate = f"{1 / scope.period:g}"
-        self.about.set_text(
-            f"{bench.sampling.format(rate=rate)} The trigger evaluates all of them; the last "
-            f"{longest:g} s are kept."
-        )
+                self._time()
+
+    def _plot(self) -> None:
+        with div("cluster scope-bar"):
+            self.state = note("", "scope-state", "chip")
+            self.freeze = button("Freeze", self._freeze, "freeze", "main")
+            button("Zoom out", lambda: self.plot.run_method("unzoom"))
+            button("Cursor A", lambda: self.plot.run_method("mark", "a"))
+            button("Cursor B", lambda: self.plot.run_method("mark", "b"))
+            button("No cursors", lambda: self.plot.run_method("unmark"))
+            ui.space()
+            self.physical = ui.switch("mm, mm/s, %", value=True, on_change=self._units)
+            self.physical.props("dense data-test=physical")
+            self.physical.props('title="Physical units, or those of the drive"')
+            button("CSV", self._csv, "csv")
+            button("PNG", lambda: self.plot.run_method("png", self.desk.bench.title), "png")
+        self.plot = Plot()
+        self.plot.on("ready", self._ready, [])
+        note("Drag to zoom, double-click to zoom out. Keys a and b set cursors at the pointer, "
+             "← and → move the last one, Delete removes them.")
+
+    def _channels(self, offered: list[str]) -> None:
+        bench = self.desk.bench
+        with card("Channels"):
+            self.chosen = box(ui.select(
+                offered, multiple=True, value=list(bench.scope.channels),
+                label="Objects, or fields of the record" if bench.fields() else "Objects",
+                with_input=True, on_change=self._choose,
+            ), "channels", "wide", "use-chips")
+
+    def _triggers(self, offered: list[str]) -> None:
+        scope, change = self.desk.bench.scope, self._trigger
+        trigger = scope.trigger or Trigger(scope.channels[0], Edge.RISING, 0.0)
+        with card("Trigger"):
+            self.run = toggle(RUNS, int(scope.run), change, "trigger-run", "spread")
+            self.channel = box(ui.select(
+                offered, label="Channel", with_input=True, value=trigger.channel, on_change=change
+            ), "trigger-channel", "wide")
+            with div("cluster"):
+                self.edge = box(ui.select(
+                    EDGES, label="Edge", value=int(trigger.edge), on_change=change
+                ), "trigger-edge")
+                self.level = Entry("Level", "", -1e12, 1e12, trigger.level, self._level,
+                                   test="trigger-level")
+            button("Arm", change, "arm", "main")
+
+    def _time(self) -> None:
+        bench, scope = self.desk.bench, self.desk.bench.scope
+        longest = scope.depth * scope.period
+        with card("Time"), div("cluster"):
+            self.span = Entry("Window", "s", 10 * scope.period, longest, scope.span, self._window,
+                              test="window")
+            self.before = Entry("Pre-trigger", "%", 0, 95, scope.before * 100, self._window,
+                                test="pre-trigger")
+        sampling = bench.sampling.format(rate=f"{1 / scope.period:g}")
+        note(f"{sampling} The trigger evaluates every sample; the last {longest:g} s are kept.")
 
     def _shown(self, channel: str) -> tuple[float, str]:
         """Factor by which the values of a channel are displayed, and the resulting unit."""
@@ -154,11 +146,7 @@ class ScopePage:
 
     async def _load(self, event: events.UploadEventArguments) -> None:
         content = await event.file.read()
-
-        def use(session: Bench) -> None:
-            session.scope.use(json.loads(content))
-
-        refuse(await self.desk.command(use))
+        await self.desk.do(lambda session: session.scope.use(json.loads(content)))
         scope = self.desk.bench.scope
         self.run.value, self.channels = int(scope.run), ()
         self.span.field.value = f"{scope.span:g}"
@@ -172,49 +160,41 @@ class ScopePage:
 
     async def _choose(self) -> None:
         names = list(self.chosen.value or [])
-        if tuple(names) == self.desk.clock.session.scope.channels:
+        if tuple(names) == self.desk.bench.scope.channels:
             return
         if not 1 <= len(names) <= MOST_CHANNELS:
             self.chosen.props(f'error error-message="choose 1..{MOST_CHANNELS} channels"')
             return
         self.chosen.props(remove="error error-message")
-        refuse(await self.desk.command(lambda session: session.scope.choose(names)))
+        await self.desk.do(lambda session: session.scope.choose(names))
 
     async def _trigger(self) -> None:
         level = self.level.number()
-        if level is None:
-            return
-        await self._level(level)
+        if level is not None:
+            await self._level(level)
 
-    async def _level(self, level: float) -> str:
+    async def _level(self, level: float) -> Any:
         run, channel, edge = Run(self.run.value), str(self.channel.value), Edge(self.edge.value)
-
         factor, _ = self._shown(channel)
+        return await self.desk.command(
+            lambda session: session.scope.set_trigger(run, channel, edge, level / factor)
+        )
 
-        def set_trigger(session: Bench) -> None:
-            session.scope.set_trigger(run, channel, edge, level / factor)
-
-        return str(await self.desk.command(set_trigger) or "")
-
-    async def _window(self, _: float) -> str:
+    async def _window(self, _: float) -> Any:
         span, before = self.span.number(), self.before.number()
 
-        def set_window(session: Bench) -> None:  # what is not a number stays as it is
+        def set_window(session: Bench) -> None:  # an invalid field leaves its value as it is
             scope = session.scope
             ahead = scope.before if before is None else before / 100
             scope.set_window(scope.span if span is None else span, ahead)
 
-        return str(await self.desk.command(set_window) or "")
+        return await self.desk.command(set_window)
 
     async def _freeze(self) -> None:
-        refuse(await self.desk.command(lambda s: s.scope.freeze(not s.scope.frozen)))
+        await self.desk.do(lambda session: session.scope.freeze(not session.scope.frozen))
 
     async def _align(self) -> None:
-        def align(session: Bench) -> None:
-            if session.beside is not None:
-                session.beside.due = True
-
-        refuse(await self.desk.command(align))
+        await self.desk.do(lambda session: session.beside.align())
 
     async def _csv(self) -> None:
         shown = {name: self._shown(name) for name in self.channels}
@@ -222,8 +202,8 @@ class ScopePage:
         ui.download.content(text.encode(), "scope.csv", "text/csv")
 
     async def show(self) -> None:
-        """The present picture."""
-        scope = self.desk.clock.session.scope
+        """Show the present picture."""
+        scope = self.desk.bench.scope
         self.state.set_text(scope.state)
         self.freeze.set_text("Go on" if scope.frozen else "Freeze")
         if self.desk.bench.beside is not None:
@@ -231,40 +211,32 @@ class ScopePage:
         if not self._plotted:
             return
         if self.channels != scope.channels:
-            self.channels = scope.channels
-            self._last = (-1, "")
+            self.channels, self._last = scope.channels, (-1, "")
             shown = [self._shown(name) for name in self.channels]
             self._factors = np.array([[factor] for factor, _ in shown])
-            self.plot.configure(
-                [
-                    {
-                        "name": name,
-                        "unit": unit,
-                        "axis": ":".join(self.desk.bench.found(name))
-                        if "following_error" in name else unit,
-                        "colour": COLOURS[i],
-                        "grain": 1e-3 if "axis." in name else factor,
-                    }
-                    for i, (name, (factor, unit)) in enumerate(
-                        zip(self.channels, shown, strict=True)
-                    )
-                ]
-            )
-            if list(self.chosen.value or []) != list(self.channels):
-                self.chosen.set_value(list(self.channels))
+            self.plot.configure([
+                {
+                    "name": name, "unit": unit, "colour": colour,
+                    "axis": ":".join(self.desk.bench.found(name)) if "following_error" in name
+                    else unit,
+                    "grain": 1e-3 if "axis." in name else factor,
+                }
+                for name, (factor, unit), colour in zip(self.channels, shown, COLOURS, strict=False)
+            ])
+            self.chosen.set_value(list(self.channels))
         await self._draw()
 
     async def _draw(self) -> None:
         def look(session: Bench) -> tuple[Window, dict[str, Any], tuple[str, ...]]:
-            scope = session.scope
-            ahead = scope.before if scope.trigger else 1.0
+            scope, trigger = session.scope, session.scope.trigger
+            ahead = scope.before if trigger else 1.0
             info: dict[str, Any] = {
-                "from": -ahead * scope.span, "to": (1 - ahead) * scope.span, "trigger": None
+                "from": -ahead * scope.span, "to": (1 - ahead) * scope.span,
+                "trigger": trigger and {
+                    "channel": trigger.channel,
+                    "level": trigger.level * self._shown(trigger.channel)[0],
+                },
             }
-            if scope.trigger:
-                trigger = scope.trigger
-                level = trigger.level * self._shown(trigger.channel)[0]
-                info["trigger"] = {"channel": trigger.channel, "level": level}
             return scope.view(), info, scope.channels
 
         window, info, channels = await self.desk.ask(look)

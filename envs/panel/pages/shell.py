@@ -23,8 +23,22 @@ from .motion import MotionPage
 from .objects import ObjectsPage
 from .scope import ScopePage
 from .state import StatePage
-from .wall import show_wall
-from .widgets import TOGGLE, Readout, Tag, button, card, formatted, live, pending, two_sided
+from .wall import KINDS, show_wall
+from .widgets import (
+    DARK_OR_LIGHT,
+    Readout,
+    Tag,
+    button,
+    card,
+    div,
+    formatted,
+    lit,
+    live,
+    note,
+    pending,
+    toggle,
+    two_sided,
+)
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
@@ -35,7 +49,7 @@ for (const id in texts) {
   if (element?.firstChild) element.firstChild.nodeValue = texts[id];
 }
 return 1"""
-# Esc closes what is open; where nothing is, it is the quick stop
+# Esc closes an open menu or dialog; without one, it is the quick stop
 LISTEN = """document.documentElement.lang = "en";
 window.addEventListener("blur", () => emitEvent("left"));
 window.addEventListener("keydown", (event) => {
@@ -77,15 +91,12 @@ class Shell:
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         self.dark = ui.dark_mode(kept.get("dark", False))
         self._header()
-        with ui.element("div").classes("frame"):
-            self._rail(pages)
-            self.frames = {}
-            self.pages: dict[str, Any] = {}
-            with ui.element("div").classes("content"):
-                for page in pages:
-                    self.frames[page.name] = ui.element("div").classes("page")
-                    self.frames[page.name].props(f"data-test=page-{page.name}")
         self._kinds = {page.name: page for page in pages}
+        self.pages: dict[str, Any] = {}
+        with div("frame"):
+            self._rail(pages)
+            with div("content"):
+                self.frames = {name: div("page", f"page-{name}") for name in self._kinds}
         self.go(kept.get("page", pages[0].name))
         ui.keyboard(self._key, ignore=["input", "select", "textarea"], repeating=False)
         ui.keyboard(self._always, ignore=[], repeating=False)
@@ -98,7 +109,7 @@ class Shell:
     def _header(self) -> None:
         session = self.clock.session
         with ui.element("header").classes("top"):
-            with ui.element("div").classes("brand"):
+            with div("brand"):
                 Tag("h1", "servogym")
                 models = {session.model(axis).name for axis in session.axes}
                 title = f"{session.title} · {', '.join(sorted(models))}"
@@ -106,51 +117,44 @@ class Shell:
                     title = f"{self.place.name} · own code {self.place.code}"
                 Tag("span", title, title=title)
             if len(session.axes) > 1:
-                ui.toggle(
-                    list(session.axes), value=self.desk.axis,
-                    on_change=lambda event: self._axis(event.value),
-                ).props(f"{TOGGLE} dense data-test=axis")
-            self.state = ui.label("").classes("state-chip").props("data-test=state")
-            self.mode = ui.label("").classes("chip").props("data-test=mode-shown")
+                toggle(list(session.axes), self.desk.axis,
+                       lambda event: self._axis(event.value), "axis", "dense")
+            self.state = note("", "state", "state-chip")
+            self.mode = note("", "mode-shown", "chip")
             self.position = Readout("Position", test="header-position")
-            self.doing = ui.label("").classes("doing").props("data-test=doing")
+            self.doing = note("", "doing", "doing")
             ui.space()
-            with ui.element("div").classes("time cluster"):
-                self.pause = two_sided("", self._pause, "pause", "icon")
-                self.pause.props(f"icon={PAUSE} aria-label=Pause")
-                step = button("", self._single, "single", "icon").props(
-                    "icon=skip_next aria-label='One cycle' title='One position cycle'"
-                )
-                self.speed = ui.select(
-                    {speed: f"{speed:g}×" for speed in SPEEDS}, value=self.clock.speed,
-                    on_change=self._speed,
-                )
-                self.speed.props("dense outlined options-dense data-test=speed aria-label=Speed")
-                self.speed.classes("speed")
-                if why := session.absent.get("time"):
-                    for made in (self.pause, step, self.speed):
-                        made.props("disable")
-                        made.props(f'title="{why}"')
-                self.measured = ui.label("").classes("quiet mono").props("data-test=measured")
+            self._time()
             self.seat = two_sided(TAKE_CONTROL, self._seat, "control", "seat")
-            button("", self._theme, "theme", "icon").props(
-                "icon=contrast aria-label='Dark or light'"
-            )
+            button("", self._theme, "theme", "icon", DARK_OR_LIGHT)
             if self.place is not None and not self.watches:
-                button("", lambda: ui.navigate.to(LEAVE), "leave-class", "icon").props(
-                    "icon=logout aria-label='Leave the classroom' title='Leave the classroom'"
-                )
-            button("QUICK STOP", self._quick_stop, "quick-stop", "stop").props("title='Esc'")
-        with (
-            ui.element("div").classes("watching-banner").props("data-test=watching") as self.banner
-        ):
+                button("", lambda: ui.navigate.to(LEAVE), "leave-class", "icon",
+                       "icon=logout aria-label='Leave the classroom' title='Leave the classroom'")
+            button("QUICK STOP", self._quick_stop, "quick-stop", "stop", "title='Esc'")
+        with div("watching-banner", "watching") as self.banner:
             self.banner_text = ui.label("")
-        with ui.element("div").classes("agent-banner").props("data-test=agent") as self.agent:
+        with div("agent-banner", "agent") as self.agent:
             self.agent_text = ui.label("")
             button("Take back", self._take_back, "take-back", "main")
-
-        with ui.element("div").classes("lesson-banner").props("data-test=lesson-now") as self.task:
+        with div("lesson-banner", "lesson-now") as self.task:
             self.task_text = ui.label("")
+
+    def _time(self) -> None:
+        with div("time cluster"):
+            self.pause = two_sided("", self._pause, "pause", "icon",
+                                   f"icon={PAUSE} aria-label=Pause")
+            step = button("", self._single, "single", "icon",
+                          "icon=skip_next aria-label='One cycle' title='One position cycle'")
+            self.speed = ui.select(
+                {speed: f"{speed:g}×" for speed in SPEEDS}, value=self.clock.speed,
+                on_change=self._speed,
+            )
+            self.speed.props("dense outlined options-dense data-test=speed aria-label=Speed")
+            self.speed.classes("speed")
+            if why := self.desk.bench.absent.get("time"):
+                for made in (self.pause, step, self.speed):
+                    made.props(f'disable title="{why}"')
+            self.measured = note("", "measured", "quiet mono")
 
     def _rail(self, pages: Sequence[type[Any]]) -> None:
         self.links = {}
@@ -178,8 +182,8 @@ class Shell:
                 kind = self._kinds[name]
                 self.pages[name] = _Absent(kind.title, why) if why else kind(self.desk)
         for other, frame in self.frames.items():
-            frame.classes(**({"add": "open"} if other == name else {"remove": "open"}))
-            self.links[other].lit("now", other == name)
+            lit(frame, "open", other == name)
+            lit(self.links[other], "now", other == name)
 
     async def _axis(self, axis: str) -> None:
         await self._rest()
@@ -224,7 +228,7 @@ class Shell:
             await self.desk.stop(lambda session: leave(session, tab))
 
     async def _quick_stop(self) -> None:
-        refuse(await self.desk.stop(lambda session: session.quick_stop()))
+        await self.desk.halt("quick_stop")
 
     async def _broken(self, error: Exception) -> None:
         """Report an internal error of a page in the log."""
@@ -232,7 +236,7 @@ class Shell:
         await self.desk.ask(lambda session: session.tell("alarm", f"an error of the panel: {said}"))
 
     async def _take_back(self) -> None:
-        refuse(await self.desk.command(lambda session: session.release()))
+        await self.desk.do(lambda session: session.release())
 
     async def _always(self, event: Any) -> None:
         """Keys that work in a field, too: the end of jogging."""
@@ -240,7 +244,7 @@ class Shell:
             await self._rest()
 
     async def _rest(self) -> None:
-        """End jogging: a key that is released over another window is never told."""
+        """End jogging: the release of a key over another window is never reported."""
         if motion := self.pages.get("motion"):
             await motion.rest()
 
@@ -267,19 +271,19 @@ class Shell:
         shown, seen, clock = self.desk.shown, self.desk.status, self.clock
         state = State(seen["state"]) if seen["state"] >= 0 else None
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
-        self.state.set_text(name if seen.get("answers", True) else "no answer")
-        kind = {State.OPERATION_ENABLED: "good", State.FAULT: "bad",
-                State.FAULT_REACTION_ACTIVE: "bad", None: "calm"}.get(state, "calm")
-        kind = kind if seen.get("answers", True) else "bad"
-        for name in ("good", "bad", "calm"):
-            self.state.classes(**({"add": name} if name == kind else {"remove": name}))
+        kind = KINDS.get(state, "calm")
+        if not seen.get("answers", True):
+            name, kind = "no answer", "bad"
+        self.state.set_text(name)
+        for each in ("good", "bad", "calm"):
+            lit(self.state, each, each == kind)
         self.mode.set_text(MODES.get(seen["mode"], f"mode {seen['mode']}"))
         unit, _ = clock.session.unit(self.desk.axis)
         self.position.show(formatted(seen["position"], 0 if unit == "units" else 3), unit)
         self.doing.set_text(seen["fault"] or shown["doing"])
         holds, holder = self.desk.in_control, shown["holder"]
         self.seat.set_text("In control" if holds else TAKE_CONTROL)
-        self.seat.classes(**({"add": "held"} if holds else {"remove": "held"}))
+        lit(self.seat, "held", holds)
         self.banner.set_visibility(not holds)
         self.banner_text.set_text(
             "Another window has control; this one watches." if holder
@@ -297,8 +301,7 @@ class Shell:
                 now = f"{lesson.wrong} Begin again on the page Lessons."
             self.task_text.set_text(f"{lesson.title} · {now}")
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
-        if self.speed.value != clock.speed:
-            self.speed.set_value(clock.speed)
+        self.speed.set_value(clock.speed)
         pulse = "paused" if clock.paused else f"{formatted(clock.achieved, 2)}× real time"
         live(self.measured, self.desk.bench.pulse() or pulse)
         self._messages(shown["messages"])
@@ -310,7 +313,7 @@ class Shell:
             await ui.run_javascript(SHOW % texts, timeout=GONE if self.desk.jogging else SLOWEST)
             self.desk.beat()
         except TimeoutError:
-            await self._rest()  # nobody knows whether the key is still held
+            await self._rest()  # the key may have been released meanwhile
 
     def _messages(self, events: list[Event]) -> None:
         for event in events:
@@ -321,10 +324,10 @@ class Shell:
                 elif event.kind in ("alarm", "fault"):
                     refuse("; ".join(filter(None, (event.text, event.remedy))))
 
-    # ------------------------------------------------------------ coming, going
+    # ------------------------------------------------- tabs that open and close
 
     async def arrive(self) -> None:
-        """Sit down where nobody commands."""
+        """Take control if nobody has it."""
         tab = self.desk.tab
 
         def sit(session: Any) -> None:
@@ -360,7 +363,7 @@ def leave(session: Any, tab: str) -> None:
 
 
 def leave_if_gone(clock: Clock, session: Any, tab: str) -> None:
-    """Release the window if its browser has closed; only then stop anything."""
+    """Release control and stop the motions of a window whose browser has closed."""
     if session.control.holds(tab):
         clock.stop_motion(lambda session: leave(session, tab))
 
@@ -370,7 +373,7 @@ class _Absent:
 
     def __init__(self, title: str, why: str):
         with card(title, "absent"):
-            ui.label(why).classes("prose")
+            note(why, kind="prose")
 
     def show(self) -> None:
         """Nothing changes."""
@@ -380,7 +383,7 @@ async def build(
     clock: Clock, pictures: float, pages: Sequence[type[Any]] = PAGES,
     place: Place | None = None, watches: bool = False,
 ) -> None:
-    """The page of a tab that has just come; as `Shell`."""
+    """Build the pages of a tab that has just been opened; arguments as of `Shell`."""
     client = ui.context.client
     await client.connected()
     tab = str(client.tab_id)
@@ -394,12 +397,12 @@ async def build(
 
 
 async def show_class(room: Classroom, teacher: Any, address: str) -> None:
-    """The page of a tab of a classroom: a pupil's own machine, the wall, or a look at a place.
+    """Build the pages of a tab of a classroom: a pupil's machine, the wall, or a look at a place.
 
     Args:
         room: the classroom.
-        teacher: what stands for the teacher in the scope of a request.
-        address: where pupils come in.
+        teacher: the object that stands for the teacher in the scope of a request.
+        address: address that pupils open.
     """
     request = ui.context.client.request
     place, path = request.scope[PERSON], request.scope["path"].strip("/")

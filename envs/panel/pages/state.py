@@ -3,9 +3,10 @@
 from nicegui import ui
 
 from ....drive.diagrams import Transition, controlword_bits, statusword_bits
-from .desk import Desk, refuse
+from ....drive.model.rows import Object
+from .desk import Desk
 from .state_diagram import StateDiagram
-from .widgets import Bits, button, card
+from .widgets import Bits, button, card, div, lit, note
 
 
 class StatePage:
@@ -16,56 +17,55 @@ class StatePage:
     def __init__(self, desk: Desk):
         self.desk = desk
         self.own_modes = desk.bench.model(desk.axis).own_modes
-        with ui.element("div").classes("columns state-columns"):
+        with div("columns state-columns"):
             with card("Device control · CiA 402", "diagram"):
                 self.diagram = StateDiagram(self._transition)
-            with ui.element("div").classes("stack"):
-                with card("Words"), ui.element("div").classes("words"):
+            with div("stack"):
+                with card("Words"), div("words"):
                     self.controlword = Bits("Controlword 6040h", self._toggle, "controlword")
                     self.statusword = Bits("Statusword 6041h", self._explain, "statusword")
-                with ui.element("div").classes("columns halves"):
-                    with card("Fault", "fault-card") as self.fault_card:
-                        self.fault = ui.label("").classes("verdict").props("data-test=fault")
-                        self.remedy = ui.label("").classes("prose").props("data-test=remedy")
-                        self.others = ui.label("").classes("prose quiet")
-                        self.reset = button("Reset fault", self._reset, "reset-fault", "main")
+                with div("columns halves"):
+                    with card("Fault", "fault-card"):
+                        self.fault = note("", "fault", "verdict")
+                        self.remedy = note("", "remedy", "prose")
+                        self.others = note("")
+                        self.reset = button(
+                            "Reset fault", lambda: desk.go("reset_fault"), "reset-fault", "main"
+                        )
                     with card("Why refused"):
-                        self.refused = ui.label("").classes("prose").props("data-test=refused")
-                        self.limits = ui.label("").classes("prose quiet")
+                        self.refused = note("", "refused", "prose")
+                        self.limits = note("")
                 with card("Process data"):
                     self.rpdo, self.tpdo = _Bytes("RPDO", "rpdo"), _Bytes("TPDO", "tpdo")
 
     async def _transition(self, row: Transition) -> None:
-        axis, word = self.desk.axis, row.controlword
-        assert word is not None
         if row.command == "fault reset":
-            refuse(await self.desk.motion(lambda session: session.reset_fault(axis)))
+            await self.desk.go("reset_fault")
         elif row.command == "quick stop":  # every window may
-            refuse(await self.desk.stop(lambda session: session.quick_stop(axis)))
-        else:
-            refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
+            await self.desk.halt("quick_stop", self.desk.axis)
+        elif row.controlword is not None:
+            await self._send(row.controlword)
 
     async def _toggle(self, mask: int) -> None:
-        axis, word = self.desk.axis, self.desk.status["controlword"] ^ mask
-        refuse(await self.desk.command(lambda session: session.control_word(axis, word)))
+        await self._send(self.desk.status["controlword"] ^ mask)
+
+    async def _send(self, word: int) -> None:
+        axis = self.desk.axis
+        await self.desk.do(lambda session: session.control_word(axis, word))
 
     def _explain(self, mask: int) -> None:
-        bits = statusword_bits(self.desk.status["mode"], self.own_modes)
-        bit = bits[mask.bit_length() - 1]
-        ui.notify(f"bit {mask.bit_length() - 1}, {bit.name.replace('_', ' ')}: {bit.meaning}")
-
-    async def _reset(self) -> None:
-        axis = self.desk.axis
-        refuse(await self.desk.motion(lambda session: session.reset_fault(axis)))
+        number = mask.bit_length() - 1
+        bit = statusword_bits(self.desk.status["mode"], self.own_modes)[number]
+        ui.notify(f"bit {number}, {bit.name.replace('_', ' ')}: {bit.meaning}")
 
     def show(self) -> None:
         """Show the present state."""
-        seen = self.desk.status
+        seen, mode = self.desk.status, self.desk.status["mode"]
         self.diagram.show(seen["state"])
-        self.controlword.show(seen["controlword"], controlword_bits(seen["mode"], self.own_modes))
-        self.statusword.show(seen["statusword"], statusword_bits(seen["mode"], self.own_modes))
+        self.controlword.show(seen["controlword"], controlword_bits(mode, self.own_modes))
+        self.statusword.show(seen["statusword"], statusword_bits(mode, self.own_modes))
         self.fault.set_text(seen["fault"] or "No fault")
-        self.fault.classes(**({"add": "bad"} if seen["fault"] else {"remove": "bad"}))
+        lit(self.fault, "bad", bool(seen["fault"]))
         remedy = seen["remedy"]
         self.remedy.set_text(remedy[:1].upper() + remedy[1:])
         others = ", ".join(seen["faults"])
@@ -83,14 +83,13 @@ class _Bytes:
     """A process image: the mapped objects with their bytes."""
 
     def __init__(self, name: str, test: str):
-        with ui.element("div").classes("image").props(f"data-test={test}"):
+        with div("image", test):
             ui.label(name).classes("image-name")
-            self._fields = ui.element("div").classes("image-fields")
+            self._fields = div("image-fields")
         self._labels: list[tuple[int, int, ui.label]] = []
         self._layout: tuple[str, ...] | None = None
-        self._shown = b""
 
-    def show(self, image: bytes, rows: list) -> None:
+    def show(self, image: bytes, rows: list[Object]) -> None:
         """Show the present bytes."""
         layout = tuple(row.name for row in rows)
         if layout != self._layout:
@@ -98,17 +97,12 @@ class _Bytes:
             self._fields.clear()
             with self._fields:
                 if not rows:
-                    ui.label("none has passed yet").classes("quiet")
+                    note("No process data has passed yet.", kind="quiet")
                 for row in rows:
-                    with ui.element("div").classes("image-field"):
-                        value = ui.label("").classes("image-bytes")
-                        ui.label(f"{row.index:04X}h {row.name.replace('_', ' ')}").classes(
-                            "image-object"
-                        )
+                    with div("image-field"):
+                        value = note("", kind="image-bytes")
+                        note(f"{row.index:04X}h {row.name.replace('_', ' ')}", kind="image-object")
                     self._labels.append((at, at + row.size, value))
                     at += row.size
-        elif image == self._shown:
-            return
-        self._shown = image
         for begin, end, label in self._labels:
             label.set_text(image[begin:end].hex(" ").upper())

@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable
 from nicegui import ui
 
 from ....drive.diagrams import State, Transition, transitions
-from .widgets import Tag
+from .widgets import Tag, div, lit
 
 WIDTH, HEIGHT = 196, 46
 PLACES = {  # left, top
@@ -44,7 +44,7 @@ class StateDiagram:
 
     def __init__(self, command: Callable[[Transition], Awaitable[None]]):
         self._rows = transitions()
-        # one way to command each: of a number with several commands the first of the standard
+        # where several commands have one number, the first of the standard is offered
         self._commands = {row.number: row for row in reversed(self._rows)
                           if row.controlword is not None}
         self._boxes: dict[State, Tag] = {}
@@ -72,7 +72,7 @@ class StateDiagram:
                 self._arrows[number] = group
             for state, (x, y) in PLACES.items():
                 box = Tag("g", data_test=f"state-{state.name.lower()}").classes("state")
-                box.lit("bad", state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
+                lit(box, "bad", state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
                 with box:
                     Tag("rect", x=x, y=y, width=WIDTH, height=HEIGHT, rx=8)
                     Tag(
@@ -83,7 +83,7 @@ class StateDiagram:
         self._command = command
         self._state: State | None = None
         self._shown: int | None = None
-        with ui.element("div").classes("possible"):
+        with div("possible"):
             self._buttons = {}
             for number, row in sorted(self._commands.items()):
                 made = ui.button(color=None, on_click=lambda _, row=row: command(row))
@@ -107,9 +107,9 @@ class StateDiagram:
         self._shown = state
         self._state = State(state) if state >= 0 else None
         for other, box in self._boxes.items():
-            box.lit("now", other is self._state)
+            lit(box, "now", other is self._state)
         numbers = {n for n, row in self._commands.items() if row.source is self._state}
         for number, arrow in self._arrows.items():
-            arrow.lit("ready", number in numbers)
+            lit(arrow, "ready", number in numbers)
         for number, made in self._buttons.items():
             made.set_visibility(number in numbers)

@@ -1,4 +1,4 @@
-"""The teacher's wall: all places of a classroom, live; tasks, results, a look at each."""
+"""The teacher's wall: all places of a classroom live, tasks, results, a look at each place."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ from nicegui import Client, run, ui
 from ....drive.diagrams import State, abbreviation
 from ..classroom import Classroom, Place
 from ..guard import PERSON
-from .widgets import Tag, answer_to, button, card, formatted
+from .widgets import DARK_OR_LIGHT, Tag, box, button, card, div, formatted, lit, sure
 
 STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 EVERY = 0.5  # s between two pictures
@@ -25,34 +25,31 @@ class PlaceCard:
         with Tag("section", data_test=name, aria_label=place.name).classes(
             "card place"
         ) as self.card:
-            with ui.element("div").classes("place-head"):
+            with div("place-head"):
                 Tag("h2", f"{place.number}. {place.name}")
                 self.here = Tag("span", "").classes("place-here")
-            with ui.element("div").classes("cluster place-state"):
+            with div("cluster place-state"):
                 self.state = Tag("span", "", data_test=f"{name}-state").classes("state-chip")
                 self.mode = Tag("span", "").classes("mono")
                 self.position = Tag("span", "", data_test=f"{name}-position").classes("mono")
             self.doing = Tag("p", "").classes("place-doing")
             self.task = Tag("p", "", data_test=f"{name}-task").classes("place-task")
             self.more = Tag("p", "", data_test=f"{name}-more").classes("place-more quiet")
-            with ui.element("div").classes("cluster place-buttons"):
-                look = Tag(
+            with div("cluster place-buttons"):
+                Tag(
                     "a", "Look", href=f"place/{place.number}", target="_blank",
                     data_test=f"{name}-look", aria_label=f"Look at {place.name}",
-                )
-                look.classes("btn place-look")
-                button("Code", self._code, f"{name}-code").props(
-                    f'aria-label="Own code of place {place.number}"'
-                )
-                button("Reset", self._reset, f"{name}-reset").props(
-                    f'aria-label="Reset the machine of {place.number}"'
-                )
-                button("Remove", self._remove, f"{name}-remove").props(
-                    f'aria-label="Remove place {place.number}"'
-                )
+                ).classes("btn place-look")
+                for text, click, spoken in (
+                    ("Code", self._code, "Own code of place"),
+                    ("Reset", self._reset, "Reset the machine of"),
+                    ("Remove", self._remove, "Remove place"),
+                ):
+                    button(text, click, f"{name}-{text.lower()}",
+                           props=f'aria-label="{spoken} {place.number}"')
 
     def _code(self) -> None:
-        """Not on the wall itself, which may be on a projector."""
+        """Show the code only on request, because the wall may be on a projector."""
         ui.notify(f"{self.place.name} comes in again with the own code {self.place.code}",
                   position="bottom-left", timeout=8000, close_button="Close")
 
@@ -79,27 +76,24 @@ class PlaceCard:
         state = State(seen["state"])
         self.state.say(state.name.replace("_", " ").lower())
         for kind in ("good", "bad"):
-            self.state.lit(kind, KINDS.get(state) == kind)
+            lit(self.state, kind, KINDS.get(state) == kind)
         self.mode.say(abbreviation(seen["mode"]) if seen["mode"] else "no mode")
         unit, _ = self.place.clock.session.unit(worst)
         self.position.say(f"{formatted(seen['position'], 1)} {unit}")
         self.here.say("here" if here else "away")
-        self.here.lit("good", here)
-        lesson = shown["lesson"]
+        lit(self.here, "good", here)
         self.doing.say(seen["fault"] or shown["doing"] or shown["agent"])
-        self.doing.lit("bad", bool(seen["fault"]))
-        if lesson is None:
-            self.task.say("no exercise")
-        else:
-            step = lesson.wrong or lesson.text or "done"
+        lit(self.doing, "bad", bool(seen["fault"]))
+        task, wrong, done, hints = "no exercise", "", False, []
+        if lesson := shown["lesson"]:
+            wrong, done, hints = lesson.wrong, not lesson.text, [f"hints {lesson.used}"]
             at = min(lesson.step + 1, lesson.steps)
-            self.task.say(f"{lesson.title} · {at} of {lesson.steps}: {step}")
-        self.task.lit("bad", lesson is not None and bool(lesson.wrong))
-        self.task.lit("done", lesson is not None and not lesson.text)
-        hints = f"hints {lesson.used}" if lesson is not None else ""
-        done = f"{len(self.place.done)} of {len(self.room.exercises)} done"
-        tries = f"{len(self.place.results)} tries"
-        self.more.say(" · ".join(filter(None, (hints, done, tries))))
+            task = f"{lesson.title} · {at} of {lesson.steps}: {wrong or lesson.text or 'done'}"
+        self.task.say(task)
+        lit(self.task, "bad", bool(wrong))
+        lit(self.task, "done", done)
+        finished = f"{len(self.place.done)} of {len(self.room.exercises)} done"
+        self.more.say(" · ".join([*hints, finished, f"{len(self.place.results)} tries"]))
 
 
 class Wall:
@@ -117,7 +111,7 @@ class Wall:
         self.dark = ui.dark_mode(False)
         titles = {each.name: each.title for each in room.exercises}
         with ui.element("header").classes("top wall-top"):
-            with ui.element("div").classes("brand"):
+            with div("brand"):
                 Tag("h1", "servogym")
                 Tag("span", "classroom")
             Tag("span", f"{address} · code ", data_test="where").classes("wall-where")
@@ -126,20 +120,17 @@ class Wall:
             ui.space()
             self.open = ui.switch("New pupils may come", value=room.open, on_change=self._open)
             self.open.props("data-test=open")
-            button("", lambda: self.dark.toggle(), "theme", "icon").props(
-                "icon=contrast aria-label='Dark or light'"
-            )
+            button("", self.dark.toggle, "theme", "icon", DARK_OR_LIGHT)
             button("QUICK STOP ALL", room.stop, "stop-all", "stop")
-        with ui.element("div").classes("content wall"):
-            with card("Task for all", "task"), ui.element("div").classes("cluster"):
+        with div("content wall"):
+            with card("Task for all", "task"), div("cluster"):
                 task = room.task.name if room.task else ""
-                self.task = ui.select({"": FREE} | titles, value=task, label="Exercise")
-                self.task.props("dense outlined options-dense data-test=task-name")
-                self.task.classes("entry grow")
+                self.task = box(ui.select({"": FREE} | titles, value=task, label="Exercise"),
+                                "task-name", props="options-dense")
                 button("Give", self._give, "give", "main")
                 ui.space()
                 button("Results as CSV", self._csv, "csv")
-            self.grid = ui.element("div").classes("places").props("data-test=places")
+            self.grid = div("places", "places")
         ui.timer(EVERY, self.show)
 
     def _open(self) -> None:
@@ -161,7 +152,7 @@ class Wall:
             if places.get(number) is not known.place:
                 self.cards.pop(number).card.delete()
         for number in sorted(places.keys() - self.cards.keys()):
-            with self.grid:  # beside the others: what is asked at one of them stays open
+            with self.grid:  # the other cards stay, so that their open dialogs do too
                 self.cards[number] = PlaceCard(self.room, places[number])
             self.cards[number].card.move(self.grid, sorted(self.cards).index(number))
         here = {
@@ -174,18 +165,8 @@ class Wall:
         self.count.say(f"{len(places)} of {self.room.most} places")
 
 
-async def sure(question: str) -> bool:
-    """Whether somebody says yes."""
-    with ui.dialog() as dialog, ui.card():
-        ui.label(question)
-        with ui.element("div").classes("cluster"):
-            button("Yes", lambda: dialog.submit(True), "yes", "main")
-            button("No", lambda: dialog.submit(False), "no")
-    return bool(await answer_to(dialog))
-
-
 async def show_wall(room: Classroom, address: str) -> None:
-    """The wall in a tab that has just come."""
+    """Build the wall in a tab that has just been opened."""
     await ui.context.client.connected()
     ui.page_title("servogym classroom")
     ui.run_javascript('document.documentElement.lang = "en"')

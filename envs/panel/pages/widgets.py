@@ -1,8 +1,8 @@
-"""Small parts of the pages: cards, readouts, entries that refuse in words, bits."""
+"""Building blocks of the pages: cards, fields, readouts, tables, buttons, questions."""
 
 import math
-from collections.abc import Awaitable, Callable, Sequence
-from typing import Any
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 from nicegui import ui
 from nicegui.element import Element
@@ -11,20 +11,64 @@ from ....drive.diagrams import Bit
 from ....drive.model.rows import Object
 from .. import entry
 from ..guard import LARGEST
-from .desk import refuse
+from .desk import over, refuse
 
-# white text on the accent is not to be read in the dark theme; the text has the colour of ours
-TOGGLE = "no-caps unelevated toggle-text-color=ours"
+DARK_OR_LIGHT = "icon=contrast aria-label='Dark or light'"  # properties of that button
 _PENDING: dict[str, dict[str, str]] = {}
+Made = TypeVar("Made", bound=Element)
 
 
-def card(title: str, name: str = "") -> ui.column:
+def named(made: Made, test: str) -> Made:
+    """Give an element the name by which tests find it; an empty name changes nothing."""
+    if test:
+        made._props["data-test"] = test  # not by props(): the name may contain what a user typed
+    return made
+
+
+def lit(made: Element, name: str, on: bool) -> None:
+    """Add or remove a CSS class."""
+    made.classes(**{"add" if on else "remove": name})
+
+
+def div(classes: str, test: str = "") -> ui.element:
+    """A plain container."""
+    return named(ui.element("div").classes(classes), test)
+
+
+def note(text: str, test: str = "", kind: str = "prose quiet") -> ui.label:
+    """A text that explains or reports something; `kind` is its CSS classes."""
+    return named(ui.label(text).classes(kind), test)
+
+
+def card(title: str, test: str = "") -> ui.column:
     """A framed part of a page with its title."""
-    with ui.element("section").classes("card") as frame:
-        if name:
-            frame.props(f"data-test={name}")
+    with named(ui.element("section").classes("card"), test):
         ui.label(title).classes("card-title")
         return ui.column().classes("card-body")
+
+
+def box(made: Made, test: str = "", kind: str = "grow", props: str = "") -> Made:
+    """Give a list or a text field the look of the panel; `kind` is grow, wide or empty."""
+    made.props(f"dense outlined {props}").classes(f"entry {kind}")
+    return named(made, test)
+
+
+def toggle(
+    options: dict | list, value: Any, change: Callable[..., Any], test: str, props: str = ""
+) -> ui.toggle:
+    """A choice between a few values."""
+    made = ui.toggle(options, value=value, on_change=change)
+    # white text on the accent would not be legible in the dark theme; the text has our colour
+    return named(made.props(f"no-caps unelevated toggle-text-color=ours {props}"), test)
+
+
+def table(columns: Iterable[str], key: str, test: str) -> ui.table:
+    """A table without pages, each column under its own name."""
+    made = ui.table(
+        columns=[{"name": n, "label": n, "field": n, "align": "left"} for n in columns],
+        rows=[], row_key=key, pagination=0,
+    )
+    return named(made.props("dense flat wrap-cells hide-bottom"), test)
 
 
 class Tag(Element):
@@ -42,11 +86,6 @@ class Tag(Element):
         if text != self._text:
             self._text = text
             self.update()
-
-    def lit(self, name: str, on: bool) -> None:
-        """Add or remove a CSS class."""
-        if (name in self._classes) != on:
-            self.classes(name) if on else self.classes(remove=name)
 
 
 def live(label: ui.label, text: str) -> None:
@@ -73,12 +112,10 @@ class Readout:
     """A name, a live number, a unit."""
 
     def __init__(self, name: str, unit: str = "", test: str = ""):
-        with ui.element("div").classes("readout"):
+        with div("readout"):
             ui.label(name).classes("readout-name")
-            with ui.element("div").classes("readout-line"):
-                self._value = ui.label("–").classes("readout-value")
-                if test:
-                    self._value.props(f"data-test={test}")
+            with div("readout-line"):
+                self._value = note("–", test, "readout-value")
                 self._unit = ui.label(unit).classes("readout-unit")
 
     def show(self, value: float | str, unit: str | None = None) -> None:
@@ -111,72 +148,70 @@ class Entry:
     """A field for a number. An invalid number is explained beside it, and nothing is sent.
 
     Args:
-        name: label of the field.
+        name: label of the field; empty if `spoken` replaces it.
         unit: unit of the number.
         low, high: range.
         value: initial value.
         send: called with the number on Enter; returns the reason of a refusal.
         whole: whether the number has to be an integer.
         test: name for tests.
-        spoken: label for screen readers if no name is shown.
+        spoken: label for screen readers. Such a field empties itself when its number was accepted.
     """
 
     def __init__(
-        self,
-        name: str,
-        unit: str = "",
-        low: float = -math.inf,
-        high: float = math.inf,
-        value: float | None = None,
-        send: Callable[[float], Awaitable[Any]] | None = None,
-        *,
-        whole: bool = False,
-        test: str = "",
-        spoken: str = "",
+        self, name: str, unit: str = "", low: float = -math.inf, high: float = math.inf,
+        value: float | None = None, send: Callable[[float], Awaitable[Any]] | None = None, *,
+        whole: bool = False, test: str = "", spoken: str = "",
     ):
-        self.unit, self.low, self.high, self.whole = unit, low, high, whole
-        self._send = send
-        self.field = (
-            ui.input(name, value="" if value is None else f"{value:g}", validation=self._wrong)
-            .props("dense outlined hide-bottom-space stack-label autocomplete=off")
-            .classes("entry says")
+        self.low, self.high, self.whole = low, high, whole
+        self._send, self._empties = send, bool(spoken)
+        text = "" if value is None else f"{value:g}"
+        self.field = box(
+            ui.input(name, value=text, validation=self._wrong), test, "says",
+            "hide-bottom-space stack-label autocomplete=off",
         )
         self.field.without_auto_validation()
-        if unit:
-            self.field.props(f'suffix="{unit}"')
+        self.show_unit(unit)
         if spoken:
             self.field.props(f'aria-label="{spoken}"')
-        if test:
-            self.field.props(f"data-test={test}")
         self.field.on("keydown.enter", self.apply)
         self.field.on_value_change(lambda: self.field.validate())
 
+    def show_unit(self, unit: str) -> None:
+        """Change the unit of the number."""
+        self.unit = unit
+        if unit:
+            self.field.props(f'suffix="{unit}"')
+
+    def _parsed(self, text: str) -> float:
+        return entry.number(text, self.low, self.high, self.unit, whole=self.whole)
+
     def _wrong(self, text: str) -> str | None:
         try:
-            entry.number(text, self.low, self.high, self.unit, whole=self.whole)
+            self._parsed(text)
         except ValueError as error:
             return str(error)
         return None
 
     def number(self) -> float | None:
-        """The number; None if it is invalid, which is then shown beside the field."""
-        if not self.field.validate():
-            return None
-        return entry.number(self.field.value, self.low, self.high, self.unit, whole=self.whole)
+        """The number; None if it is invalid, which is then explained beside the field."""
+        return self._parsed(self.field.value) if self.field.validate() else None
 
-    def refuse(self, words: str) -> None:
-        """Say why the number was refused: the reason beside the field, and what to do in a message.
+    def refuse(self, words: Any) -> None:
+        """Show the reason of a refusal beside the field and the remedy in a message.
 
-        A fault and its remedy are told by the shell, whatever has caused it.
+        A motion that another command has ended needs no message, and the shell reports faults.
         """
-        reason, _, remedy = words.partition("; ")
+        if not words or over(words):
+            return
+        reason, _, remedy = str(words).partition("; ")
         self.field.error = reason
         if remedy and not reason.startswith("FAULT"):
             refuse(words)
 
-    def send_to(self, send: Callable[[float], Awaitable[Any]]) -> None:
-        """Set the function that is called with the number on Enter."""
-        self._send = send
+    def empty(self) -> None:
+        """Remove the number and the message beside it."""
+        self.field.value, self.field.error = "", None
 
     async def apply(self) -> None:
         """Send the number."""
@@ -184,8 +219,9 @@ class Entry:
         if value is None or self._send is None:
             return
         words = await self._send(value)
-        if words:
-            self.refuse(str(words))
+        if not words and self._empties:
+            self.empty()
+        self.refuse(words)
 
 
 class Bits:
@@ -193,10 +229,10 @@ class Bits:
 
     def __init__(self, name: str, click: Callable[[int], Any], test: str):
         self._names: tuple[str, ...] = ()
-        with ui.element("div").classes("bits").props(f"data-test={test}"):
-            with ui.element("div").classes("bits-head"):
+        with div("bits", test):
+            with div("bits-head"):
                 ui.label(name).classes("bits-name")
-                self._word = ui.label("0000h").classes("bits-word").props(f"data-test={test}-word")
+                self._word = note("0000h", f"{test}-word", "bits-word")
             self._rows = []
             for n in reversed(range(16)):
                 row = Tag("button", type="button", data_bit=n, data_test=f"{test}-{n}")
@@ -217,13 +253,13 @@ class Bits:
         for n, row, lamp, label in self._rows:
             if changed >> n & 1:
                 on = bool(word >> n & 1)
-                row.lit("on", on)
+                lit(row, "on", on)
                 row._props["aria-pressed"] = str(on).lower()
                 lamp.say(str(int(on)))
                 row.update()
             if names != self._names:
                 label.say(bits[n].name.replace("_", " "))
-                row.lit("quiet", bits[n].name.startswith(("bit ", "manufacturer")))
+                lit(row, "quiet", bits[n].name.startswith(("bit ", "manufacturer")))
                 if bits[n].meaning:
                     row._props["title"] = bits[n].meaning
         self._word.set_text(f"{word:04X}h")
@@ -231,38 +267,43 @@ class Bits:
 
 
 def button(
-    text: str, click: Callable[..., Any] | None, test: str = "", kind: str = ""
+    text: str, click: Callable[..., Any] | None, test: str = "", kind: str = "", props: str = ""
 ) -> ui.button:
-    """A button of the panel; `kind` is main, stop or quiet."""
-    made = ui.button(text, on_click=click, color=None).props("no-caps unelevated")
-    made.classes(f"btn {kind}")
-    if test:
-        made._props["data-test"] = test  # it may be what somebody has typed
-    return made
+    """A button of the panel; `kind` is main, stop, icon or empty."""
+    made = ui.button(text, on_click=click, color=None).props(f"no-caps unelevated {props}")
+    return named(made.classes(f"btn {kind}"), test)
 
 
 def file_button(text: str, load: Callable[..., Any], test: str) -> ui.button:
     """A button that asks for a file and calls `load` with it; Quasar's own box is hidden."""
     loader = ui.upload(auto_upload=True, max_file_size=LARGEST, on_upload=load,
                        on_rejected=lambda: ui.notify(f"{text}: the file is too large"))
-    loader.props(f"data-test={test}").classes("out-of-sight")
+    named(loader, test).classes("out-of-sight")
     return button(text, lambda: loader.run_method("pickFiles"), f"{test}-pick")
 
 
-def two_sided(text: str, press: Callable[[str], Any], test: str = "", kind: str = "") -> ui.button:
+def two_sided(
+    text: str, press: Callable[[str], Any], test: str = "", kind: str = "", props: str = ""
+) -> ui.button:
     """A button with two texts; `press` is called with the text shown when it was pressed.
 
     The text may have changed since, and the user must not trigger the other action.
     """
-    made = button(text, None, test, kind)
+    made = button(text, None, test, kind, props)
     shown = "(event) => emit(event.currentTarget.textContent.trim())"
     return made.on("click", lambda event: press(event.args), js_handler=shown)
 
 
-async def answer_to(dialog: ui.dialog) -> Any:
-    """What somebody says to a dialog, which goes then; None where the page has gone meanwhile."""
-    said = await dialog
-    if not dialog.is_deleted and dialog.client.id in dialog.client.instances:
-        dialog.delete()
-        return said
-    return None
+async def sure(*question: str, yes: str = "Yes", no: str = "No") -> bool:
+    """Ask a question in a dialog; False as well if the page has gone meanwhile."""
+    with ui.dialog() as dialog, ui.card():
+        for line in question:
+            ui.label(line)
+        with div("cluster"):
+            button(yes, lambda: dialog.submit(True), "yes", "main")
+            button(no, lambda: dialog.submit(False), "no")
+    answer = await dialog
+    if dialog.is_deleted or dialog.client.id not in dialog.client.instances:
+        return False
+    dialog.delete()
+    return bool(answer)
