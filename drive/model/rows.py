@@ -91,6 +91,11 @@ class Object:
     stored: str = ""  # format of its bytes in the record, where they are more or fewer
 
     @property
+    def address(self) -> str:
+        """Index and sub-index, ``6081h:00``."""
+        return f"{self.index:04X}h:{self.subindex:02X}"
+
+    @property
     def format(self) -> str:
         """Format of the value for `struct`, empty for strings."""
         return FORMATS[self.data_type]

@@ -1,9 +1,9 @@
-"""Bench: drives on a port, a commander, a scope and messages, which every panel has.
+"""Bench: drives on a port with a commander, a scope and a log, which every panel has.
 
 `session.Session` is the bench of a machine in this process, `bus.BusBench` that of nodes on a bus.
-A motion runs to its end inside its call, exchange by exchange; whatever paces that looks after
-other requests meanwhile and may end the motion with `Interrupted`. A change of state or mode, which
-what comes after it needs, is carried through, unless it is a stop that comes.
+A motion runs to its end inside its call, exchange by exchange. The function that paces it serves
+other requests meanwhile and may end the motion with `Interrupted`. A change of state or mode is
+completed before the next motion begins, because that motion needs it; only a stop ends it.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,14 +29,13 @@ CHANNELS = (
 )
 MOVES = 600.0  # s of the drives' time a motion may take
 MESSAGES = 50
-HERE = ":"  # between an axis and its channel, where there are several axes
-
-
+HERE = ":"  # between an axis and its channel, if there are several axes
 ENDED = "ended by another command"
-STREAMED = {  # what is moved by set-points goes on until it gets another one
+STREAMED = {  # modes in which the axis goes on until it gets another set-point
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.INTERPOLATED_POSITION,
     Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
 }
+SHOWN_IN = {"m": ("mm", 1e3), "rad": ("°", 180 / np.pi)}  # by unit of the port
 BUTTONS = {"enable()": "Enable", "reset_fault()": "Reset fault", "home()": "Home"}
 
 
@@ -45,7 +44,7 @@ class Interrupted(Exception):
 
 
 def words(error: ServoError) -> tuple[str, str]:
-    """Says what went wrong and what to do, for readers who see the drive's words beside it."""
+    """The reason of an error and the next step, for readers who see the state of the drive."""
     step = error.next_step
     for call, button in BUTTONS.items():
         step = step.replace(call, button)
@@ -72,12 +71,13 @@ class Bench:
         title: what people call it.
     """
 
-    machine: Any = None  # `engine.machine.Machine`, where it is in this process
-    real_time = False  # time passes by itself: nobody paces it
+    machine: Any = None  # `engine.machine.Machine`, if it is in this process
+    scope: Recorder
+    real_time = False  # time passes by itself and cannot be paced
     commands = True  # False: nothing is ever sent
-    seats_who_comes = True  # who opens the page first has control
+    seats_first = True  # the first tab that opens the page gets control
     sampling = "One sample in each position cycle, {rate} in a second of machine time."
-    absent: Mapping[str, str] = {}  # name of a page or part -> why it cannot be had here
+    absent: Mapping[str, str] = {}  # name of a page or part -> why it is not available here
 
     def __init__(self, port: Port, title: str):
         self.port, self.title = port, title
@@ -85,31 +85,29 @@ class Bench:
         self.axes = tuple(port.models)
         self.set_points = SetPoints(self)
         self.masters = {name: Master(port, name) for name in self.axes}
-        self.time = 0.0  # s that have passed, over resets and snapshots
-        self.pace: Callable[[], bool] = lambda: False  # -> whether a single cycle is asked for
+        self.time = 0.0  # s that have passed; resets and snapshots do not turn it back
+        self.pace: Callable[[], bool] = lambda: False  # -> whether a single cycle is due
         self.streams = False  # whether each cycle gets a set-point
-        self.doing = ""  # the motion under way
-        self.carried_through = False  # it does not end for the next one
+        self.doing = ""  # the present motion
+        self.carried_through = False  # whether it completes before the next one begins
         self.log = Log()
         self._faults: dict[str, str] = {}
-        self.underway: set[str] = set()  # axes that somebody here has set in motion
+        self.underway: set[str] = set()  # axes that a window has set in motion
         self.agent: Agent | None = None
-        self.pupil: Any = None  # `lessons.Pupil`: the lesson that is being done
-        self.lessons: tuple[Any, ...] = ()  # `course.exercise.Exercise`: that are offered
-        self.laboratory: Any = None  # `session.Laboratory`, given by who serves
-        self.no_policies = ""  # why there is none
-        self.delay = 0.0  # s by which commands come late
+        self.pupil: Any = None  # `lessons.Pupil`: the present exercise
+        self.lessons: tuple[Any, ...] = ()  # `course.exercise.Exercise`: the exercises offered
+        self.laboratory: Any = None  # `session.Laboratory`
+        self.no_policies = ""  # why there is no laboratory
+        self.delay = 0.0  # s by which commands are delayed
         self.kept: dict[str, bytes] = {}  # snapshots of the machine by name
-        self.beside: ParallelTwin | None = None  # a twin
+        self.beside: ParallelTwin | None = None  # the twin beside an axis
 
     def _scope(self, period: float) -> Recorder:
         """Make a scope with the usual channels of the first axis."""
         first = self.axes[0]
-        known = [name for name in CHANNELS if name in self.model(first).names] or ["statusword"]
-        names = [self.channel(first, name) for name in known]
+        present = [name for name in CHANNELS if name in self.model(first).names]
+        names = [self.channel(first, name) for name in present or ["statusword"]]
         return Recorder(self.reader, self.unit_of, period, names)
-
-    scope: Recorder
 
     # ------------------------------------------------------ what each bench has
 
@@ -122,7 +120,14 @@ class Bench:
         raise NotImplementedError
 
     def value(self, axis: str, name: str) -> float | None:
-        """The last known value of an object (drive units), without waiting; None if unknown."""
+        """The last known value of an object (drive units), without waiting.
+
+        None if it is not known yet, or if the drive does not have the object.
+        """
+        raise NotImplementedError
+
+    def present(self, axis: str, name: str) -> float | None:
+        """A quantity that the header or every page shows (drive units); None if it is unknown."""
         raise NotImplementedError
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
@@ -161,8 +166,8 @@ class Bench:
         """The unit of a channel."""
         raise NotImplementedError
 
-    def _axis(self, name: str) -> dict[str, Any]:
-        """Everything that the pages show of an axis."""
+    def _status(self, axis: str) -> dict[str, Any]:
+        """What the pages show of an axis beside `shown`, in the same units."""
         raise NotImplementedError
 
     def joint_position(self, axis: str) -> float | None:
@@ -185,11 +190,10 @@ class Bench:
 
     def unit(self, axis: str) -> tuple[str, float]:
         """The display unit of positions, and how many of them make one unit of the port."""
-        known = {"m": ("mm", 1e3), "rad": ("°", 180 / np.pi)}
-        return known.get(self.port.units(axis).name, ("units", 1.0))
+        return SHOWN_IN.get(self.port.units(axis).name, ("units", 1.0))
 
     def acceleration(self, axis: str) -> float:
-        """The size of an acceleration unit at the load, m/s² or rad/s²; 0 if it is not known."""
+        """The size of an acceleration unit at the load, m/s² or rad/s²; 0 if it is unknown."""
         return 0.0
 
     # --------------------------------------------------------------------- channels
@@ -236,12 +240,13 @@ class Bench:
         """
         self.beside = ParallelTwin(self, machine, axis or self.axes[0], drive)
         axis, known = self.beside.axis, self.beside.channels()
-        pairs = [
-            pair for name in ("position_actual_value", "following_error_actual_value")
-            if (pair := (self.channel(axis, name), f"{TWIN}{HERE}{name}"))[1] in known
+        names = [
+            channel for name in ("position_actual_value", "following_error_actual_value")
+            for channel in (self.channel(axis, name), f"{TWIN}{HERE}{name}")
+            if f"{TWIN}{HERE}{name}" in known
         ]
-        if pairs:
-            self.scope.choose([channel for pair in pairs for channel in pair])
+        if names:
+            self.scope.choose(names)
 
     def advance(self, time: float) -> None:
         """Advance by this time (s)."""
@@ -286,11 +291,11 @@ class Bench:
         """Carry out a motion; -> the reason of a failure, empty if all went well.
 
         Args:
-            what: it is, in words.
+            what: the motion in words.
             motion: lets time pass until it is done.
-            axis: that it moves; it is under way until the motion has come to its end.
+            axis: the axis that it moves, which is under way until the motion has ended.
             through: whether the next motion waits for its end.
-            goes_on: whether the axis goes on when the motion has returned, as it does at a speed.
+            goes_on: whether the axis goes on after the motion has returned, as it does at a speed.
         """
         if self.agent is not None:
             return self._failed(what, f"{self.agent.name} has the machine", "take it back first")
@@ -355,11 +360,9 @@ class Bench:
         """Move to a position (m or rad), or by a distance."""
         master = self.masters[axis]
 
-        def motion() -> None:
-            if relative:  # counted from where the axis is, whatever 60F2h says
-                master.move_to(master.position + position, immediate=True, timeout=MOVES)
-            else:
-                master.move_to(position, immediate=True, timeout=MOVES)
+        def motion() -> None:  # by a distance: from where the axis is, whatever 60F2h says
+            begin = master.position if relative else 0.0
+            master.move_to(begin + position, immediate=True, timeout=MOVES)
 
         name, scale = self.unit(axis)
         by = "by" if relative else "to"
@@ -382,7 +385,7 @@ class Bench:
         return self._stop("quick stop", axis, Master.quick_stop)
 
     def _stop(self, what: str, axis: str | None, how: Callable[[Master], Any]) -> str:
-        """Stop all axes at once, so that none waits for another."""
+        """Stop the axes at once, so that none waits for another."""
         self.release()
         axes = [name for name in ((axis,) if axis else self.axes) if self.powered(name)]
         named = f"{', '.join(axes) or axis or 'all axes'}: {what}"
@@ -395,7 +398,7 @@ class Bench:
         return said
 
     def abandon(self, why: str) -> None:
-        """End the motions that were commanded by a tab that is no longer there."""
+        """End the motions that a tab which is no longer there has commanded."""
         axes = [name for name in self.axes if name in self.underway and self.powered(name)]
         if not (axes or self.agent):
             return
@@ -432,7 +435,7 @@ class Bench:
             agent.release()
             self.tell("done", f"{agent.name} has given the machine back")
 
-    # ------------------------------------------------------------ what is seen
+    # ----------------------------------------------------------- what is shown
 
     def shown(self) -> dict[str, Any]:
         """The present state of everything that the pages show, as plain values."""
@@ -448,3 +451,26 @@ class Bench:
             "lesson": self.pupil.present if self.pupil else None,
             "axes": {name: self._axis(name) for name in self.axes},
         }
+
+    def _axis(self, axis: str) -> dict[str, Any]:
+        """Everything that the pages show of an axis, in the units of `unit`."""
+        units, (_, scale) = self.units(axis), self.unit(axis)
+        position, velocity = units.position * scale, units.velocity * scale
+        fault, remedy = self.fault_of(axis)
+
+        def of(name: str) -> int:
+            return int(self.present(axis, name) or 0)
+
+        return {
+            "mode": of("modes_of_operation_display"),
+            "controlword": of("controlword"),
+            "statusword": of("statusword"),
+            "position": of("position_actual_value") * position,
+            "velocity": of("velocity_actual_value") * velocity,
+            "torque": of("torque_actual_value") * 0.1,  # % of the rated torque
+            "following_error": of("following_error_actual_value") * position,
+            "target": of("target_position") * position,
+            "homing_method": of("homing_method"),
+            "fault": fault,
+            "remedy": remedy,
+        } | self._status(axis)

@@ -31,9 +31,8 @@ FORGOTTEN = 3.0  # s after which an object that no page asks for is not read any
 LISTENS = "the panel was started with --listen: it sends nothing"
 WATCHED = (
     "statusword", "controlword", "modes_of_operation_display", "position_actual_value",
-    "position_demand_value", "velocity_actual_value", "torque_actual_value",
-    "following_error_actual_value", "target_position", "error_code", "homing_method",
-    "digital_inputs",
+    "velocity_actual_value", "torque_actual_value", "following_error_actual_value",
+    "target_position", "error_code", "homing_method",
 )
 ABSENT = {
     "machine": "A picture in 3D needs the model of the machine; a bus reports positions only.",
@@ -69,7 +68,7 @@ class BusBench(Bench):
     """
 
     real_time = True
-    seats_who_comes = False
+    seats_first = False
     sampling = "Sampled over the bus {rate} times a second, less often if the node is slow."
     absent = ABSENT
 
@@ -233,15 +232,15 @@ class BusBench(Bench):
 
     def value(self, axis: str, name: str) -> float | None:
         """Return the value last read, and keep reading the object from now on."""
-        row = self._named[name]
-        return self._last(axis, row)
+        if row := self._named.get(name):
+            self._asked[axis, row.index, row.subindex] = self.time
+        return self.present(axis, name)
 
-    def _last(self, axis: str, row: Object, ask: bool = True) -> float | None:
-        key = axis, row.index, row.subindex
-        if ask:
-            self._asked[key] = self.time
-        known = self._known.get(key)
-        return None if isinstance(known, str) else known
+    def present(self, axis: str, name: str) -> float | None:
+        """Return the value last read."""
+        row = self._named.get(name)
+        last = self._known.get((axis, row.index, row.subindex)) if row else None
+        return None if isinstance(last, str) else last
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
         """Return the values last read as text; an ellipsis where none has arrived yet."""
@@ -286,17 +285,15 @@ class BusBench(Bench):
 
     def powered(self, axis: str) -> bool:
         """Whether its statusword shows OPERATION_ENABLED."""
-        word = self._last(axis, self._named["statusword"], ask=False)
+        word = self.present(axis, "statusword")
         return word is not None and state_of(int(word)) is State.OPERATION_ENABLED
 
     def fault_of(self, axis: str) -> tuple[str, str]:
         """Return the fault according to statusword and error code last read."""
-        word = self._last(axis, self._named["statusword"], ask=False)
+        word = self.present(axis, "statusword")
         if word is None or state_of(int(word)) not in FAULTY:
             return "", ""
-        row = self._named.get("error_code")
-        code = int(self._last(axis, row, ask=False) or 0) if row else 0
-        model = self.model(axis)
+        model, code = self.model(axis), int(self.present(axis, "error_code") or 0)
         remedy = f"{remedy_of(model, code)}; then reset the fault"
         return fault_named(model, code) or "unknown fault", remedy
 
@@ -319,8 +316,8 @@ class BusBench(Bench):
             raise ValueError(f"there is no channel {name!r}: on a bus name an object of the model")
 
         def read() -> float:
-            known = self._last(axis, row, ask=False)
-            return math.nan if known is None or axis in self._silent else float(known)
+            last = self.present(axis, name)
+            return math.nan if last is None or axis in self._silent else float(last)
 
         return read
 
@@ -328,45 +325,26 @@ class BusBench(Bench):
         """Return the unit of a channel according to the model."""
         return self._named[name].unit
 
-    def _axis(self, name: str) -> dict[str, Any]:
-        def of(known: str, otherwise: int = 0) -> int:
-            value = (
-                self._last(name, self._named[known], ask=False) if known in self._named else None
-            )
-            return otherwise if value is None else int(value)
-
-        model, units, (_, scale) = self.model(name), self.units(name), self.unit(name)
-        word, controlword = of("statusword"), of("controlword")
-        known = self._last(name, self._named["statusword"], ask=False)
-        state = None if known is None else state_of(word)
-        fault, remedy = self.fault_of(name)
-        acts = word & Statusword.INTERNAL_LIMIT_ACTIVE
-        images = {
-            way: b"".join(data for _, data in self._passed(name, way)) for way in ("rx", "tx")
-        }
+    def _status(self, axis: str) -> dict[str, Any]:
+        """State, and what its PDOs show; the rest a bus does not report."""
+        word = self.present(axis, "statusword")
+        state = None if word is None else state_of(int(word))
+        status, refused = int(word or 0), ""
+        if state is not None:
+            controlword = int(self.present(axis, "controlword") or 0)
+            refused = unheeded(self.model(axis), status, controlword)
+        limited = status & Statusword.INTERNAL_LIMIT_ACTIVE
         return {
             "state": -1 if state is None else int(state),
-            "answers": name not in self._silent,
-            "mode": of("modes_of_operation_display"),
-            "controlword": controlword,
-            "statusword": word,
-            "position": of("position_actual_value") * units.position * scale,
-            "demand": of("position_demand_value") * units.position * scale,
-            "velocity": of("velocity_actual_value") * units.velocity * scale,
-            "torque": of("torque_actual_value") * 0.1,
-            "following_error": of("following_error_actual_value") * units.position * scale,
-            "target": of("target_position") * units.position * scale,
+            "answers": axis not in self._silent,
             "homed": None,
-            "homing_method": of("homing_method"),
-            "fault": fault,
             "faults": (),
-            "remedy": remedy,
-            "refused": unheeded(model, word, controlword) if state is not None else "",
-            "limits": ["internal limit active, statusword bit 11"] if acts else [],
-            "inputs": of("digital_inputs"),
+            "refused": refused,
+            "limits": ["internal limit active, statusword bit 11"] if limited else [],
             "injected": 0,
-            "rpdo": images["rx"],
-            "tpdo": images["tx"],
+        } | {
+            f"{way}pdo": b"".join(data for _, data in self._passed(axis, f"{way}x"))
+            for way in ("r", "t")
         }
 
 

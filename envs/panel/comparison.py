@@ -13,7 +13,6 @@ from .bench import Bench
 class Difference(NamedTuple):
     """A parameter whose values differ."""
 
-    address: str  # 6081h:00
     row: Object
     node: float | None  # None: it could not be read
     factory: float | None
@@ -40,8 +39,7 @@ def compare(bench: Bench, axis: str, file: Mapping[str, float] | None = None) ->
         factory: Any = None if row.per_node else row.default
         others = [float(value) for value in (factory, kept) if value is not None]
         if any(node is None or value != node for value in others):
-            address = f"{row.index:04X}h:{row.subindex:02X}"
-            found.append(Difference(address, row, node, factory, kept))
+            found.append(Difference(row, node, factory, kept))
     return found
 
 
@@ -51,5 +49,5 @@ def write_back(bench: Bench, axis: str, chosen: Mapping[Object, float]) -> list[
     for row, value in chosen.items():
         whole = value if row.real else int(value)
         if said := bench.command(axis, row.index, row.subindex, whole):
-            wrong.append(f"{row.index:04X}h:{row.subindex:02X} {row.name}: {said}")
+            wrong.append(f"{row.address} {row.name}: {said}")
     return wrong

@@ -131,7 +131,12 @@ class Session(Bench):
 
     def value(self, axis: str, name: str) -> float | None:
         """Return the present value of an object."""
-        return self.machine.drives[axis].objects.names[name].get()  # type: ignore[return-value]
+        slot = self.machine.drives[axis].objects.names.get(name)
+        return slot.get() if slot is not None else None  # type: ignore[return-value]
+
+    def present(self, axis: str, name: str) -> float | None:
+        """Return a quantity of the record, also one that the drive has no object for."""
+        return float(self.machine.drives[axis].axis.od[name])
 
     def texts(self, axis: str, rows: Iterable[Object]) -> list[str]:
         """Return the values of objects as a master reads them, as text."""
@@ -298,32 +303,19 @@ class Session(Bench):
             self.beside.watch_commands()
             self.beside.watch_parameters()
 
-    def _axis(self, name: str) -> dict[str, Any]:
-        drive, units = self.machine.drives[name], self.port.units(name)
-        axis, od = drive.axis, drive.axis.od
-        _, scale = self.unit(name)
-        state = State(int(axis.state))
+    def _status(self, axis: str) -> dict[str, Any]:
+        """State, and what only the record of the drive knows."""
+        drive, (_, scale) = self.machine.drives[axis], self.unit(axis)
+        record = drive.axis
+        target = float(record.target) / float(record.rad_per_position_unit or 1)
         return {
-            "state": int(state),
-            "mode": int(od.modes_of_operation_display),
-            "controlword": int(od.controlword),
-            "statusword": int(od.statusword),
-            "position": int(od.position_actual_value) * units.position * scale,
-            "demand": int(od.position_demand_value) * units.position * scale,
-            "velocity": int(od.velocity_actual_value) * units.velocity * scale,
-            "torque": int(od.torque_actual_value) * 0.1,  # % of the rated torque
-            "following_error": int(od.following_error_actual_value) * units.position * scale,
-            "target": float(axis.target) / float(axis.rad_per_position_unit or 1)
-            * units.position * scale,
-            "homed": bool(axis.homed),
-            "homing_method": int(od.homing_method),
-            "fault": drive.fault,
+            "state": int(record.state),
+            "target": target * self.units(axis).position * scale,
+            "homed": bool(record.homed),
             "faults": drive.faults[1:],
-            "remedy": remedy(axis) if drive.fault else "",
-            "refused": refusal(axis) if int(axis.refused_command) else "",
-            "limits": limits(int(axis.limits)),
-            "inputs": int(od.digital_inputs),
-            "injected": int(axis.injected),
+            "refused": refusal(record) if int(record.refused_command) else "",
+            "limits": limits(int(record.limits)),
+            "injected": int(record.injected),
             "rpdo": drive.pack(),
             "tpdo": drive.collect(),
         }

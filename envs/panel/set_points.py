@@ -99,11 +99,7 @@ class SetPoints:
         """Convert a set-point to drive units. Raises Refused beyond the limits of the drive."""
         units = self.bench.units(axis)
         if kind == "torque":
-            most = (
-                self.bench.value(axis, "max_torque")
-                if "max_torque" in self.bench.model(axis).names
-                else None
-            )
+            most = self.bench.value(axis, "max_torque")
             if most is not None and abs(value) * 10 > most:
                 raise Refused("torque", f"{value:g} % is more than 6072h allows, {most / 10:g} %",
                               "choose less, or raise 6072h")
@@ -122,7 +118,7 @@ class SetPoints:
 
     def _inside(self, axis: str, target: float) -> None:
         """Refuse a position beyond the software limits 607Dh."""
-        low, high = (self._known(axis, f"{end}_position_limit") for end in ("min", "max"))
+        low, high = (self.bench.value(axis, f"{end}_position_limit") for end in ("min", "max"))
         raw = target / self.bench.units(axis).position
         if low is not None and high is not None and low < high and not low <= raw <= high:
             name, scale = self.bench.unit(axis)
@@ -148,7 +144,3 @@ class SetPoints:
             self.bench.streams = False
         if kind == "position":
             master.write(name, round(wave(time) / unit))
-
-    def _known(self, axis: str, name: str) -> float | None:
-        """Read an object; None if the drive does not have it."""
-        return self.bench.value(axis, name) if name in self.bench.model(axis).names else None

@@ -112,7 +112,7 @@ class ParallelTwin:
     def watch_parameters(self) -> None:
         """Take over what a policy has changed in the drive for itself, or put back."""
         for name, before in self._parameters.items():
-            value = self._parameters[name] = self.bench.value(self.axis, name)
+            value = self._parameters[name] = self._of(name)
             if value is not None and value != before:
                 self.repeat(name, value)
 
@@ -159,9 +159,8 @@ class ParallelTwin:
             self.bench.tell("info", f"twin: {said}", self.axis)
 
     def _of(self, name: str) -> float | None:
-        """An object of the axis's drive as it is known now."""
-        known = name in self.bench.model(self.axis).names
-        return self.bench.value(self.axis, name) if known else None
+        """The last known value of an object of the axis's drive."""
+        return self.bench.value(self.axis, name)
 
     def _watch_reference(self) -> None:
         """Where the axis has its zero is known when its homing has been attained."""
@@ -200,7 +199,7 @@ class ParallelTwin:
                 if row.access == "rw" and row.index >= 0x2000 and row.name not in COMMANDS
                 and row.format and row.name in self.drive.objects.names
             )
-            self._parameters = {name: self.bench.value(self.axis, name) for name in names}
+            self._parameters = {name: self._of(name) for name in names}
         self._time = self.bench.time
         self.bench.tell("done", "twin: it stands where the axis stands", self.axis)
 

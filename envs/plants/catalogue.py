@@ -107,17 +107,18 @@ def axis_for(
     return machine
 
 
-def fresh(axis: str, drive: str = "generic") -> Machine:
+def fresh(axis: str, drive: str = "generic", what: str = "axis") -> Machine:
     """A commissioned machine where it stands at power-on, the same bits each time.
 
     Args:
         axis: key of `AXES`.
         drive: model or folder.
+        what: the name under which the user gave the axis.
 
     Raises ValueError: unknown model or axis.
     """
     if axis not in AXES:
-        raise ValueError(f"axis = {axis!r}: {hint(axis, AXES)}")
+        raise ValueError(f"{what} = {axis!r}: {hint(axis, AXES)}")
     make, places = AXES[axis]
     machine = make(drive)
     power_on(machine, places)

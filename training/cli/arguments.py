@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-baselines3"
 LISTED = "help"  # instead of NAME=VALUE
+AXES = "linear, vertical, rotary-table, conveyor, gantry or gantry-x1x2"  # `catalogue.AXES`
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,11 @@ class Number:
             raise argparse.ArgumentTypeError(f"{text} is out of range {low}{self.high:.10g}")
         return number
 
+    def __str__(self) -> str:
+        """The range for a help text, if both of its ends mean something to a reader."""
+        bounded = self.low > -1e9 and self.high < 1e9 and not self.above
+        return f", {self.low:g}..{self.high:g}" if bounded else ""
+
 
 COUNT = Number(int, 1)
 FROM_ZERO = Number(int, 0, 2**63 - 1)
@@ -62,8 +68,40 @@ EPISODES = Number(int, 1, 1000)  # as `evaluate.episodes`
 WORKERS = Number(int, 1, 10_000)  # as `scale.work`
 
 
+def option(
+    parser: argparse._ActionsContainer, name: str, kind: Any = str, text: str = "",
+    default: Any = None, **more: Any,
+) -> None:
+    """Add an option to a command; its help shows the range of a number and the default.
+
+    Args:
+        parser: of the command, or one of its groups.
+        name: ``--option``, or the name of a positional argument.
+        kind: type of the value; bool for an option without a value.
+        text: what the option does.
+        default: value if the option is not given.
+        more: further arguments of ``add_argument``.
+    """
+    if kind is bool:
+        parser.add_argument(name, action="store_true", help=text)
+        return
+    numbers = f"{kind}" if isinstance(kind, Number) else ""
+    shown = "" if default in (None, "") else f" ({default})"
+    parser.add_argument(name, type=kind, default=default, help=f"{text}{numbers}{shown}", **more)
+
+
+def add_env(parser: argparse.ArgumentParser) -> None:
+    """Add the environment of a command."""
+    option(parser, "env", str, "environment, such as LinearAxis-v0", metavar="ENV")
+
+
+def add_drive(parser: argparse.ArgumentParser) -> None:
+    """Add ``--drive``."""
+    option(parser, "--drive", str, "drive model, see `servogym drives`", "generic")
+
+
 def add(parser: argparse._ActionsContainer) -> None:
-    """Add ``--argument NAME=VALUE`` for an environment."""
+    """Add ``--argument`` and ``--twin`` of an environment."""
     parser.add_argument(
         "--argument", action="append", metavar="NAME=VALUE", type=_argument, nargs="?",
         const=(LISTED, None),
@@ -80,10 +118,8 @@ def add(parser: argparse._ActionsContainer) -> None:
 
 def add_real_time(parser: argparse.ArgumentParser) -> None:
     """Add ``--real-time``, for processes that others must not delay."""
-    parser.add_argument(
-        "--real-time", action="store_true",
-        help="run with real-time priority where the system permits it (SCHED_FIFO, locked memory)",
-    )
+    option(parser, "--real-time", bool,
+           "run with real-time priority if the system permits it (SCHED_FIFO, locked memory)")
 
 
 def real_time(options: argparse.Namespace, console: Console) -> None:
@@ -96,37 +132,24 @@ def real_time(options: argparse.Namespace, console: Console) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser, of: str) -> None:
-    """Add ``--seed``, which is 0 if it is not given."""
-    parser.add_argument("--seed", type=FROM_ZERO, default=0, help=f"seed of {of} (0)")
+    """Add ``--seed``; `of` names what it seeds."""
+    option(parser, "--seed", FROM_ZERO, f"seed of {of}", 0)
 
 
 PORT = 8402  # as `envs.panel.server`
 
 
 def add_page(parser: argparse.ArgumentParser, pictures: int, most: int) -> None:
-    """``--port``, ``--host``, ``--pictures`` and ``--no-browser`` of a command that serves a page.
-
-    Args:
-        parser: of the command.
-        pictures: a second, if not given.
-        most: pictures a second at the most.
-    """
-    parser.add_argument(
-        "--port", type=Number(int, 1, 65535), default=PORT, help=f"TCP port ({PORT})"
-    )
-    parser.add_argument(
-        "--host", default="127.0.0.1",
-        help="listen on this address, not the loopback interface; 0.0.0.0 for other computers",
-    )
-    parser.add_argument(
-        "--pictures", type=Number(int, 1, most), default=pictures,
-        help=f"pictures per second, 1..{most} ({pictures})",
-    )
-    parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    """Add the options of a command that serves a page; pictures per second: default, maximum."""
+    option(parser, "--port", Number(int, 1, 65535), "TCP port", PORT)
+    option(parser, "--host", str, "listen on this address; 0.0.0.0 for other computers",
+           "127.0.0.1")
+    option(parser, "--pictures", Number(int, 1, most), "pictures per second", pictures)
+    option(parser, "--no-browser", bool, "do not open a browser")
 
 
 def page(options: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Where a page is served, and how it says so. Raises ValueError for what cannot be had."""
+    """Return the keywords of `panel.server.serve`. Raises ValueError if the port is taken."""
     from ...envs.panel import server
 
     server.free(options.host, options.port)
@@ -139,16 +162,14 @@ def page(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     }
 
 
-MODELS = ("drive", "model")  # where the options of a command keep the drive models it is given
+MODELS = ("drive", "model")  # options that name drive models
 
 
 def add_run_code(parser: argparse.ArgumentParser) -> None:
     """Add ``--run-code`` to a command that takes a drive model, which may contain a program."""
     if any(action.dest in MODELS for action in parser._actions):
-        parser.add_argument(
-            "--run-code", action="store_true",
-            help="run hooks.py and modes.py from the folder of the drive model; read them first",
-        )
+        option(parser, "--run-code", bool,
+               "run hooks.py and modes.py from the folder of the drive model; read them first")
 
 
 def consent(options: argparse.Namespace) -> None:
@@ -161,23 +182,17 @@ def consent(options: argparse.Namespace) -> None:
     from ...drive import run_code
 
     for model in given:
-        for each in model if isinstance(model, list) else [model]:
-            if each is not None:
-                run_code(each)
+        for each in model if isinstance(model, list) else [model] if model else []:
+            run_code(each)
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Add ``--workers``, ``--ray`` and ``--resume``, which say where the jobs of a command run."""
     parser.add_argument("--workers", type=WORKERS, metavar="N", help="number of parallel processes")
-    parser.add_argument(
-        "--ray", nargs="?", const="", metavar="ADDRESS",
-        help="use the Ray cluster at HOST:PORT, ray://HOST:PORT or auto; without an address, "
-        "start one here",
-    )
-    parser.add_argument(
-        "--resume", action="store_true",
-        help="continue an interrupted command: run only what is missing in --out",
-    )
+    option(parser, "--ray", str, "use the Ray cluster at HOST:PORT, ray://HOST:PORT or auto; "
+           "without an address, start one here", nargs="?", const="", metavar="ADDRESS")
+    option(parser, "--resume", bool,
+           "continue an interrupted command: run only what is missing in --out")
 
 
 def work(options: argparse.Namespace) -> "Work":
@@ -218,7 +233,7 @@ def several(number: Number) -> Callable[[str], list[Any]]:
 def listed(text: str | None) -> list[str]:
     """``"a, b"`` -> ``["a", "b"]``: words separated by commas, without empty ones.
 
-    Raises ValueError for commas without a word: it is not what is meant by leaving a list out.
+    Raises ValueError for commas without a word, which is not the same as no list.
     """
     words = _words(text or "")
     if text and not words:
@@ -259,7 +274,7 @@ def _argument(text: str) -> tuple[str, Any]:
 
 
 def asked(options: argparse.Namespace) -> bool:
-    """Whether the arguments are to be listed."""
+    """Whether the command line asks for a list of the arguments."""
     return any(name == LISTED for name, _ in options.argument or ())
 
 

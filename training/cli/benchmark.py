@@ -9,8 +9,9 @@ from typing import Any
 from rich.console import Console
 
 from . import arguments
+from .arguments import POLICY, POSITIVE, SIGNED_BYTE, Number, option, several
 
-SUITE, POLICY = "v2", "learned"
+SUITE, LEARNED = "v2", "learned"
 OF_SUITES = ("suite", "entry", "tasks", "conditions")
 OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file")
 
@@ -18,47 +19,31 @@ OF_AXES = ("mechanics", "payload", "distance", "method", "runs", "parameter_file
 def add(benchmark: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     benchmark.add_argument("what", choices=("homing", "positioning", "learned", "headroom"))
-    benchmark.add_argument("--drive", help="drive model, see `servogym drives` (generic)")
-    benchmark.add_argument("--quick", action="store_true", help="run only a small part")
-    benchmark.add_argument("--out", type=Path, default=Path("out"), help="output folder (out)")
+    option(benchmark, "--drive", str, "drive model, see `servogym drives` (generic)")
+    option(benchmark, "--quick", bool, "run only a small part")
+    option(benchmark, "--out", Path, "output folder", Path("out"))
     own = benchmark.add_argument_group("homing, positioning: other cells than those of the page")
-    own.add_argument("--mechanics", help="mechanics of the family, separated by commas (all)")
-    own.add_argument(
-        "--payload", type=arguments.several(arguments.Number(float, 0.0)),
-        help="payload (kg); for positioning, several separated by commas",
-    )
-    own.add_argument(
-        "--distance", type=arguments.several(arguments.POSITIVE),
-        help="positioning: distances (m), separated by commas (0.01,0.05,0.2)",
-    )
-    own.add_argument(
-        "--method", type=arguments.several(arguments.SIGNED_BYTE),
-        help="homing: further methods, separated by commas",
-    )
-    own.add_argument(
-        "--policy",
-        help="positioning: strategies of your own beside those of the page, by name or "
-        "FILE.py:name; homing: FILE.py:function, which is called with a Master of the axis; "
-        f"learned: {arguments.POLICY}, or a folder with one for each task ({POLICY})",
-    )
-    own.add_argument("--runs", type=arguments.Number(int, 2), help="homing: runs in each cell (50)")
-    own.add_argument(
-        "--parameter-file", type=Path, help="stored parameters, as `servogym tune` writes them"
-    )
+    option(own, "--mechanics", str, "mechanics of the family, separated by commas (all)")
+    option(own, "--payload", several(Number(float, 0.0)),
+           "payload (kg); for positioning, several separated by commas")
+    option(own, "--distance", several(POSITIVE),
+           "positioning: distances (m), separated by commas (0.01,0.05,0.2)")
+    option(own, "--method", several(SIGNED_BYTE),
+           "homing: further methods, separated by commas")
+    option(own, "--policy", str, "positioning: strategies of your own beside those of the page, by "
+           "name or FILE.py:name; homing: FILE.py:function, which is called with a Master of the "
+           f"axis; learned: {POLICY}, or a folder with one for each task ({LEARNED})")
+    option(own, "--runs", Number(int, 2), "homing: runs in each cell (50)")
+    option(own, "--parameter-file", Path, "stored parameters, as `servogym tune` writes them")
     learned = benchmark.add_argument_group("learned: submit a policy to a suite")
-    learned.add_argument("--suite", help=f"version, or a file of your own ({SUITE})")
-    learned.add_argument(
-        "--entry", metavar="NAME", help="name on the leaderboard (the policy's own)"
-    )
-    learned.add_argument(
-        "--tasks", help="tasks of the suite, separated by commas (all that the policy fits)"
-    )
-    learned.add_argument("--conditions", help="try only these conditions; no submission is written")
-    benchmark.add_argument(
-        "comparison", nargs="*", type=Path,
-        help="headroom: compare.json of each task, which `servogym compare` wrote; every row is "
-        "compared with what is possible",
-    )
+    option(learned, "--suite", str, f"version, or a file of your own ({SUITE})")
+    option(learned, "--entry", str, "name on the leaderboard (the policy's own)", metavar="NAME")
+    option(learned, "--tasks", str,
+           "tasks of the suite, separated by commas (all that the policy fits)")
+    option(learned, "--conditions", str,
+           "try only these conditions; no submission is written")
+    option(benchmark, "comparison", Path, "headroom: compare.json of each task, which `servogym "
+           "compare` wrote; every row is compared with what is possible", nargs="*")
     arguments.add_work(benchmark)
     benchmark.set_defaults(
         run=_benchmark, folders=("out",), inputs=("parameter_file",)
@@ -126,7 +111,7 @@ def _learned(options: argparse.Namespace, console: Console) -> int:
                 f"--{name.replace('_', '-')} is not for suites, which say it themselves"
             )
     chosen = suite.read(options.suite or SUITE, run_code=options.run_code)
-    policy = options.policy or POLICY
+    policy = options.policy or LEARNED
     stem = Path(policy.partition(".py")[0]).name
     entry = options.entry or re.sub(r"[^\w+.-]", "_", stem)
     if not re.fullmatch(r"[\w+-][\w+. -]*", entry):

@@ -5,30 +5,19 @@ from pathlib import Path
 
 from rich.console import Console
 
-from . import arguments, machines
+from . import machines
+from .arguments import POSITIVE, add_seed, option
 
 
 def add(bode: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     machines.add(bode)
-    bode.add_argument(
-        "--amplitude", type=arguments.POSITIVE, default=0.1,
-        help="rms amplitude as a share of the rated torque (0.1)",
-    )
-    bode.add_argument(
-        "--speed", type=arguments.POSITIVE, help="speed of travel, m/s or rad/s (a tenth of 6081h)"
-    )
-    bode.add_argument(
-        "--lowest", type=arguments.POSITIVE,
-        help="lowest frequency in Hz (2, lower for a slow axis)",
-    )
-    bode.add_argument(
-        "--highest", type=arguments.POSITIVE, help="highest frequency in Hz"
-    )
-    arguments.add_seed(bode, "the excitation's phases")
-    bode.add_argument(
-        "--out", type=Path, default=Path("out"), help="folder for bode.png and bode.csv (out)"
-    )
+    option(bode, "--amplitude", POSITIVE, "rms amplitude as a share of the rated torque", 0.1)
+    option(bode, "--speed", POSITIVE, "speed of travel, m/s or rad/s (a tenth of 6081h)")
+    option(bode, "--lowest", POSITIVE, "lowest frequency in Hz (2, lower for a slow axis)")
+    option(bode, "--highest", POSITIVE, "highest frequency in Hz")
+    add_seed(bode, "the phases of the excitation")
+    option(bode, "--out", Path, "folder for bode.png and bode.csv", Path("out"))
     bode.set_defaults(run=_bode, folders=("out",))
 
 

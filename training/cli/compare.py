@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from . import arguments
+from .arguments import EPISODES, FROM_ZERO, POLICY, option
 
 if TYPE_CHECKING:
     from ..evaluate.comparison import Request
@@ -15,40 +16,31 @@ if TYPE_CHECKING:
 
 def add_eval(command: argparse.ArgumentParser) -> None:
     """Add the options of `eval`."""
-    command.add_argument("env", help="environment, such as LinearAxis-v0")
-    command.add_argument("--policy", help=arguments.POLICY)
+    arguments.add_env(command)
+    option(command, "--policy", str, POLICY)
     _add_episodes(command)
 
 
 def add(command: argparse.ArgumentParser) -> None:
     """Add the options of `compare`."""
-    command.add_argument("env", help="environment, such as LinearAxis-v0")
-    command.add_argument("--policies", help="names of policies, separated by commas")
-    command.add_argument(
-        "--conditions", nargs="?", const="all", metavar="NAMES",
-        help="off-nominal conditions: all (delay, noise, friction, …), a list of names or axes, or "
-        "transfer (every drive with every mechanics)",
-    )
+    arguments.add_env(command)
+    option(command, "--policies", str, "names of policies, separated by commas")
+    option(command, "--conditions", str, "off-nominal conditions: all (delay, noise, friction, …), "
+           "a list of names or axes, or transfer (every drive with every mechanics)",
+           nargs="?", const="all", metavar="NAMES")
     _add_episodes(command)
 
 
 def _add_episodes(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    command.add_argument(
-        "--episodes", type=arguments.EPISODES, default=50, help="number of episodes, 1..1000 (50)"
-    )
+    arguments.add_drive(command)
+    option(command, "--episodes", EPISODES, "number of episodes", 50)
     arguments.add_seed(command, "the episodes")
-    command.add_argument(
-        "--trace", type=arguments.FROM_ZERO, default=0, help="episode to draw, counted from 0 (0)"
-    )
+    option(command, "--trace", FROM_ZERO, "episode to draw, counted from 0", 0)
     arguments.add(command)
     arguments.add_work(command)
-    command.add_argument("--out", type=Path, help="output folder (a new one in out)")
-    command.add_argument(
-        "--port", metavar="OPTIONS",
-        help="play on the drives of a bus, with these options of `servogym deploy` as one word, "
-        'such as "-i socketcan -c can0 --yes"',
-    )
+    option(command, "--out", Path, "output folder (a new one in out)")
+    option(command, "--port", str, "play on the drives of a bus, with these options of `servogym "
+           'deploy` as one word, such as "-i socketcan -c can0 --yes"', metavar="OPTIONS")
     command.set_defaults(run=_compare, folders=("out",))
 
 
@@ -59,7 +51,7 @@ def asked(options: argparse.Namespace) -> "Request":
     option = "policy" if options.command == "eval" else "policies"
     given = getattr(options, option)
     if given is None:
-        raise ValueError(f"give --{option}: {arguments.POLICY}")
+        raise ValueError(f"give --{option}: {POLICY}")
     policies = [given] if options.command == "eval" else arguments.listed(given)
     if not policies:
         raise ValueError("--policies is empty: give names, separated by commas")

@@ -9,6 +9,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from .arguments import add_drive, option
+
 
 def add(command: argparse.ArgumentParser) -> None:
     """Add the options of `course`."""
@@ -18,11 +20,9 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "what", nargs="*", help="exercise to show, solutions to check, runs to replay"
     )
-    command.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    command.add_argument("--lessons", type=Path, help="folder with the exercises that a run used")
-    command.add_argument(
-        "--json", action="store_true", help="print a line of JSON for each solution"
-    )
+    add_drive(command)
+    option(command, "--lessons", Path, "folder with the exercises that a run used")
+    option(command, "--json", bool, "print a line of JSON for each solution")
     command.set_defaults(run=_course, inputs=("lessons",))
 
 

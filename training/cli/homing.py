@@ -5,18 +5,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from . import arguments
+from .arguments import SIGNED_BYTE, add_drive, option
 
 
 def add(homing: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    homing.add_argument("--gallery", type=Path, required=True, help="folder for the pictures")
-    homing.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    homing.add_argument(
-        "--method", type=arguments.SIGNED_BYTE, action="append",
-        help="draw only this method; repeatable",
-    )
-    homing.add_argument("--format", choices=("svg", "png"), default="svg")
+    option(homing, "--gallery", Path, "folder for the pictures", required=True)
+    add_drive(homing)
+    homing.add_argument("--method", type=SIGNED_BYTE, action="append",
+                        help="draw only this method; repeatable")
+    option(homing, "--format", str, "format of the pictures", "svg", choices=("svg", "png"))
     homing.set_defaults(run=_homing, folders=("gallery",))
 
 

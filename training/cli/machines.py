@@ -19,6 +19,7 @@ from ...envs import (
 )
 from ...envs.engine.mjcf import read
 from . import arguments
+from .arguments import FINITE, option
 
 GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
 OPTIONS = ("drive", "mechanics", "parameters", "parameter_file", "twin")
@@ -68,32 +69,20 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
 
 def add(parser: argparse.ArgumentParser, others: str = "") -> None:
     """Add options for machine, drive and position; `others` names alternatives to a machine."""
-    parser.add_argument(
-        "machine", nargs="?", default="rigid",
-        help=f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file{others and ', '}{others} "
-        "(rigid)",
-    )
-    parser.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    parser.add_argument("--axis", help="drive of the machine (the first), or joint of an MJCF")
-    parser.add_argument(
-        "--gear", type=arguments.FINITE,
-        help="gear ratio for an MJCF: rad of the motor per m or rad",
-    )
-    parser.add_argument(
-        "--at", type=arguments.FINITE, help="position of the axis, m or rad (the middle)"
-    )
+    option(parser, "machine", str, f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file"
+           f"{others and ', '}{others}", "rigid", nargs="?")
+    arguments.add_drive(parser)
+    option(parser, "--axis", str, "drive of the machine (the first), or joint of an MJCF")
+    option(parser, "--gear", FINITE, "gear ratio for an MJCF: rad of the motor per m or rad")
+    option(parser, "--at", FINITE, "position of the axis, m or rad (the middle)")
     parser.add_argument(
         "--set", action="append", metavar="NAME=VALUE", default=[], type=_value,
         help="set a parameter of the machine, such as payload=10; repeatable",
     )
-    parser.add_argument(
-        "--twin", type=Path,
-        help="use the twin in this folder (of `servogym twin`) instead of a machine",
-    )
-    parser.add_argument(
-        "--parameter-file", type=Path,
-        help="the drive's stored parameters, as `servogym tune` writes them",
-    )
+    option(parser, "--twin", Path,
+           "use the twin in this folder (of `servogym twin`) instead of a machine")
+    option(parser, "--parameter-file", Path,
+           "the drive's stored parameters, as `servogym tune` writes them")
     parser.set_defaults(inputs=("twin", "parameter_file"))
 
 

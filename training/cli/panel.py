@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from . import arguments
+from .arguments import POSITIVE, option
 from .bus import CHANNEL, INTERFACE, opened, refuse, where
 
 if TYPE_CHECKING:
+    from ...envs.engine.machine import Machine
     from ...envs.panel.bench import Bench
 
 RATE = 20.0  # as `envs.panel.bus`
@@ -20,62 +22,41 @@ def add(panel: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     from can.cli import add_bus_arguments
 
-    panel.add_argument(
-        "--axis",
-        help="linear, vertical, rotary-table, conveyor, gantry, gantry-x1x2 (linear)",
-    )
-    panel.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    panel.add_argument("--mjcf", type=Path, help="use a robot of your own instead of --axis")
-    panel.add_argument(
-        "--joint", action="append", metavar="NAME",
-        help="joint of --mjcf that gets a drive; repeatable",
-    )
-    panel.add_argument(
-        "--parameter-file", type=Path, help="file into which 1010h stores, for one axis only"
-    )
-    panel.add_argument(
-        "--twin", type=Path, metavar="DIR",
-        help="a twin, as `servogym twin` makes it, beside the axis or node: it gets the same "
-        "commands, the scope shows both",
-    )
-    add_bus_arguments(panel, group_title="a running node on a bus, as python-can has it")
-    panel.add_argument("--bus-config", help="section of python-can's configuration file")
+    option(panel, "--axis", str, f"machine: {arguments.AXES} (linear)")
+    arguments.add_drive(panel)
+    option(panel, "--mjcf", Path, "use a robot of your own instead of --axis")
+    panel.add_argument("--joint", action="append", metavar="NAME",
+                       help="joint of --mjcf that gets a drive; repeatable")
+    option(panel, "--parameter-file", Path, "file into which 1010h stores, for one axis only")
+    option(panel, "--twin", Path, "a twin of `servogym twin` beside the axis or node: it gets the "
+           "same commands, the scope shows both", metavar="DIR")
+    add_bus_arguments(panel, group_title="a running node on a bus (options of python-can)")
+    option(panel, "--bus-config", str, "section of python-can's configuration file")
     panel.add_argument(
         "--node-id", type=arguments.NODE_ID, action="append",
-        help="watch, and on request command, this node (1..127) on a bus instead of an own "
+        help="show, and on request command, this node (1..127) of a bus instead of a simulated "
         f"machine; repeatable; the default bus is -i {INTERFACE} -c {CHANNEL}",
     )
-    panel.add_argument(
-        "--listen", action="store_true", help="send nothing on the bus and show only PDOs"
-    )
-    panel.add_argument(
-        "--samples", type=arguments.POSITIVE,
-        help=f"samples per second of the scope on a bus ({RATE:g})",
-    )
-    panel.add_argument(
-        "--units", metavar="M[,M/S]",
-        help="on a bus: size of a position unit in m and of a velocity unit in m/s (the same)",
-    )
-    panel.add_argument(
-        "--lessons", type=Path, help="folder with .toml files of your own exercises"
-    )
+    option(panel, "--listen", bool, "send nothing on the bus and show only PDOs")
+    option(panel, "--samples", POSITIVE, f"samples per second of the scope on a bus ({RATE:g})")
+    option(panel, "--units", str, "on a bus: size of a position unit in m and of a velocity unit "
+           "in m/s (the same)", metavar="M[,M/S]")
+    option(panel, "--lessons", Path, "folder with .toml files of your own exercises")
     arguments.add_page(panel, pictures=25, most=60)
     panel.set_defaults(run=_panel, inputs=("twin", "lessons"))
 
 
-def _machine(options: argparse.Namespace):
-    from ...envs import Machine, commission_joint
-    from ...envs.plants.catalogue import AXES, power_on
+def _machine(options: argparse.Namespace) -> "Machine":
+    """Make the machine: one of the catalogue, or a robot."""
+    from ...envs.engine.machine import Machine
+    from ...envs.plants.catalogue import AXES, fresh
+    from ...envs.plants.commissioning import commission_joint
 
     if options.mjcf is None:
         if options.joint:
             raise ValueError("--joint names joints of --mjcf, which is not given")
         options.axis = options.axis or "linear"
-        if options.axis not in AXES:
-            raise ValueError(f"--axis = {options.axis!r}: use one of {', '.join(AXES)}")
-        make, places = AXES[options.axis]
-        machine = make(options.drive)
-        power_on(machine, places)
+        machine, places = fresh(options.axis, options.drive, "--axis"), AXES[options.axis][1]
     else:
         if options.axis:
             raise ValueError(f"--axis {options.axis} and --mjcf are two machines: give one of them")
@@ -94,7 +75,7 @@ def _machine(options: argparse.Namespace):
 
 
 def _put_twin(bench: "Bench", options: argparse.Namespace) -> None:
-    """A twin beside an axis of the bench, if one is given."""
+    """Put a twin beside an axis of the bench, if one is given."""
     from ...envs.plants import twins
     from ...envs.plants.catalogue import of_twin, power_on
 
@@ -104,7 +85,8 @@ def _put_twin(bench: "Bench", options: argparse.Namespace) -> None:
     axis = found.axis if found.axis in bench.axes else bench.axes[0]
     if axis != found.axis and len(bench.axes) > 1:
         raise ValueError(
-            f"--twin {options.twin} is of an axis {found.axis!r}, here are {', '.join(bench.axes)}"
+            f"--twin {options.twin} is of axis {found.axis!r}, but the axes here are "
+            f"{', '.join(bench.axes)}"
         )
     machine = of_twin(options.twin)
     power_on(machine, {})
@@ -112,7 +94,7 @@ def _put_twin(bench: "Bench", options: argparse.Namespace) -> None:
 
 
 def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
-    """Nodes on a bus, and the adapter to it."""
+    """Return nodes on a bus, and the adapter to it."""
     from ...drive.master import Units
     from ...drive.wire.adapter import Adapter
     from ...drive.wire.bus import CanPort
@@ -122,7 +104,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
         if getattr(options, name):
             raise ValueError(f"--{name.replace('_', '-')} is for a machine, not for --node-id")
     if len({*options.node_id}) < len(options.node_id):
-        raise ValueError(f"--node-id {options.node_id}: some twice")
+        raise ValueError(f"--node-id {options.node_id}: a node-id is given twice")
     units = None
     if options.units:
         try:
@@ -148,7 +130,7 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
 
 def _panel(options: argparse.Namespace, console: Console) -> int:
     """Serve until Ctrl-C or SIGTERM."""
-    from ...envs.course.exercise import load_all
+    from ...envs.course.exercise import SHIPPED, load_all
     from ...envs.panel import server
     from ...envs.panel.session import Session
     from ...envs.tasks import fitting
@@ -171,7 +153,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     title += " axis" * (title in ("linear", "vertical"))
     session = Session(machine, title)
     _put_twin(session, options)
-    session.lessons = tuple(load_all(options.lessons) if options.lessons else load_all())
+    session.lessons = tuple(load_all(options.lessons or SHIPPED))
     if options.mjcf is not None:
         mjcf = options.mjcf
         session.laboratory = Laboratory(lambda axis: fitting.robot(mjcf, machine, axis))

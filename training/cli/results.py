@@ -8,45 +8,28 @@ from pathlib import Path
 from rich.console import Console
 
 from . import arguments
+from .arguments import option
 
 
 def add(results: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    results.add_argument(
-        "folder", nargs="?", type=Path,
-        help="folder with a subfolder for each task (that of this package)",
-    )
-    results.add_argument(
-        "--again", action="store_true", help="first repeat the comparison of each folder"
-    )
-    results.add_argument(
-        "--train", nargs="?", const="", metavar="OUT",
-        help="repeat all trainings into this folder; without it, only print the commands and "
-        "CPU-seconds",
-    )
-    results.add_argument(
-        "--costs", nargs="?", const="", metavar="WORDS",
-        help="in a checkout: list every committed result with its command and CPU-seconds, and "
-        "first repeat those whose command contains WORDS",
-    )
-    results.add_argument(
-        "--suite",
-        help="check the submissions in the folder for this suite and write the leaderboard",
-    )
-    results.add_argument(
-        "--public", metavar="TEXT",
-        help="with --suite: draw the episodes of all entries from a text that nobody could know "
-        "before the last entry was handed in, such as the numbers of a lottery",
-    )
-    results.add_argument(
-        "--run-code", action="store_true",
-        help="run the programs that the folder names; read them first",
-    )
+    option(results, "folder", Path, "folder with a subfolder for each task (that of this package)",
+           nargs="?")
+    option(results, "--again", bool, "first repeat the comparison of each folder")
+    option(results, "--train", str, "repeat all trainings into this folder; without it, only print "
+           "the commands and CPU-seconds", nargs="?", const="", metavar="OUT")
+    option(results, "--costs", str, "in a checkout: list every committed result with its command "
+           "and CPU-seconds, and first repeat those whose command contains WORDS",
+           nargs="?", const="", metavar="WORDS")
+    option(results, "--suite", str,
+           "check the submissions in the folder for this suite and write the leaderboard")
+    option(results, "--public", str, "with --suite: draw the episodes of all entries from a text "
+           "that nobody could know before the last entry was handed in, such as the numbers of a "
+           "lottery", metavar="TEXT")
+    option(results, "--run-code", bool, "run the programs that the folder names; read them first")
     arguments.add_work(results)
-    results.add_argument(
-        "-o", "--out", type=Path,
-        help="page to write (README.md in the folder; by default out/learned.md)",
-    )
+    results.add_argument("-o", "--out", type=Path, help="page to write (README.md in the folder; "
+                         "by default out/learned.md)")
     results.set_defaults(run=_results, files=("out",))
 
 

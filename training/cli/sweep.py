@@ -10,45 +10,33 @@ from typing import Any
 from rich.console import Console
 
 from . import arguments
+from .arguments import COUNT, EPISODES, FROM_ZERO, option
 
 RANGE = re.compile(r"([^.,]+(?:\.[^.,]+)?)\.\.(.+?)(:log)?$")  # LOW..HIGH, LOW..HIGH:log
 
 
 def add(sweep: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    sweep.add_argument("envs", help="environments, separated by commas")
-    sweep.add_argument(
-        "--policies", default="", help="policies that play in each cell, separated by commas"
-    )
-    sweep.add_argument("--train", default="", choices=("PPO", "SAC"), type=str.upper,
-                       help="train a policy in each cell instead")
-    sweep.add_argument(
-        "--steps", type=arguments.COUNT, default=100_000, help="steps of each training (100000)"
-    )
-    sweep.add_argument("--drives", default="generic", help="drive models, separated by commas")
-    sweep.add_argument("--conditions", default="", help="conditions, as for `servogym compare`")
-    sweep.add_argument(
-        "--seeds", type=arguments.several(arguments.FROM_ZERO), default="0",
-        help="seeds of the episodes or of the trainings, such as 0,1,2"
-    )
+    option(sweep, "envs", str, "environments, separated by commas")
+    option(sweep, "--policies", str, "policies that play in each cell, separated by commas", "")
+    option(sweep, "--train", str.upper, "train a policy in each cell instead", "",
+           choices=("PPO", "SAC"))
+    option(sweep, "--steps", COUNT, "steps of each training", 100_000)
+    option(sweep, "--drives", str, "drive models, separated by commas", "generic")
+    option(sweep, "--conditions", str, "conditions, as for `servogym compare`", "")
+    option(sweep, "--seeds", arguments.several(FROM_ZERO),
+           "seeds of the episodes or of the trainings, such as 0,1,2", "0")
     sweep.add_argument(
         "--vary", action="append", default=[], metavar="NAME=VALUES", type=_varied,
         help="values of an argument or hyper-parameter, such as 1,2,5; with --trials also "
         "LOW..HIGH[:log]",
     )
-    sweep.add_argument(
-        "--trials", type=arguments.COUNT,
-        help="run an Optuna study with this many trials instead of the grid",
-    )
-    sweep.add_argument(
-        "--episodes", type=arguments.EPISODES, default=50,
-        help="episodes of each cell, 1..1000 (50)",
-    )
+    option(sweep, "--trials", COUNT,
+           "run an Optuna study with this many trials instead of the grid")
+    option(sweep, "--episodes", EPISODES, "episodes of each cell", 50)
     arguments.add(sweep)
     arguments.add_work(sweep)
-    sweep.add_argument(
-        "--out", type=Path, default=Path("out/sweep"), help="output folder (out/sweep)"
-    )
+    option(sweep, "--out", Path, "output folder", Path("out/sweep"))
     sweep.set_defaults(run=_sweep)
 
 

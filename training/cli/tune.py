@@ -5,37 +5,22 @@ from pathlib import Path
 
 from rich.console import Console
 
-from . import arguments, machines
+from . import machines
+from .arguments import FINITE, POSITIVE, add_seed, option
 
 
 def add(tune: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     machines.add(tune)
-    tune.add_argument(
-        "--gain-margin", type=arguments.POSITIVE, default=6.0,
-        help="gain margin of both loops in dB (6)",
-    )
-    tune.add_argument(
-        "--phase-margin", type=arguments.POSITIVE, default=35.0,
-        help="phase margin of both loops in degrees (35)",
-    )
-    tune.add_argument(
-        "--move", type=arguments.FINITE,
-        help="distance of the move that shows the following error, m or rad",
-    )
-    tune.add_argument(
-        "--detuned", type=arguments.POSITIVE, default=1.0, metavar="FACTOR",
-        help="start from velocity and position gains multiplied by this factor (1)",
-    )
-    tune.add_argument(
-        "--amplitude", type=arguments.POSITIVE, default=0.1,
-        help="rms amplitude as a share of the rated torque (0.1)",
-    )
-    arguments.add_seed(tune, "the excitation's phases")
-    tune.add_argument(
-        "--out", type=Path, default=Path("out"),
-        help="folder for tune.png and parameters.json (out)",
-    )
+    option(tune, "--gain-margin", POSITIVE, "gain margin of both loops in dB", 6.0)
+    option(tune, "--phase-margin", POSITIVE, "phase margin of both loops in degrees", 35.0)
+    option(tune, "--move", FINITE, "distance of the move that shows the following error, m or rad")
+    option(tune, "--detuned", POSITIVE,
+           "start from velocity and position gains multiplied by this factor", 1.0,
+           metavar="FACTOR")
+    option(tune, "--amplitude", POSITIVE, "rms amplitude as a share of the rated torque", 0.1)
+    add_seed(tune, "the phases of the excitation")
+    option(tune, "--out", Path, "folder for tune.png and parameters.json", Path("out"))
     tune.set_defaults(run=_tune, folders=("out",))
 
 

@@ -6,25 +6,19 @@ from pathlib import Path
 from rich.console import Console
 
 from . import arguments
+from .arguments import COUNT, POLICY, Number, option
 
 
 def add(watch: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    watch.add_argument("env", metavar="ENV", help="environment, such as LinearAxis-v0")
-    watch.add_argument("--policy", default="hold", help=f"{arguments.POLICY} (hold)")
-    watch.add_argument("--drive", default="generic", help="drive model, see `servogym drives`")
-    watch.add_argument(
-        "--episodes", type=arguments.COUNT, default=1, help="number of episodes, 1 or more (1)"
-    )
+    arguments.add_env(watch)
+    option(watch, "--policy", str, POLICY, "hold")
+    arguments.add_drive(watch)
+    option(watch, "--episodes", COUNT, "number of episodes, 1 or more", 1)
     arguments.add_seed(watch, "the first reset")
-    watch.add_argument(
-        "--speed", type=arguments.Number(float, 0.01, 100.0), default=1.0,
-        help="speed of the playback; 1 is real time (1)",
-    )
-    watch.add_argument(
-        "--record", type=Path,
-        help="record to an .mp4 or .gif file or into a folder, instead of a window",
-    )
+    option(watch, "--speed", Number(float, 0.01, 100.0), "playback speed, 1 is real time", 1.0)
+    option(watch, "--record", Path, "record to an .mp4 or .gif file or into a folder, instead of "
+           "a window")
     arguments.add(watch)
     watch.set_defaults(run=_watch)
 

@@ -77,6 +77,6 @@ def _row(each: Difference) -> dict[str, str]:
         return "–" if value is None else f"{value:.10g} {hexadecimal(value, each.row)}".strip()
 
     return {
-        "object": each.address, "name": each.row.name.replace("_", " "), "drive": shown(each.node),
-        FACTORY: shown(each.factory), FILE: shown(each.file),
+        "object": each.row.address, "name": each.row.name.replace("_", " "),
+        "drive": shown(each.node), FACTORY: shown(each.factory), FILE: shown(each.file),
     }

@@ -278,7 +278,7 @@ class _Parameter:
     def __init__(self, desk: Desk, row: Object):
         self.desk, self.name = desk, row.name
         self.factor, self.unit = physical(desk.bench, desk.axis, row)
-        self.address = f"{row.index:04X}h:{row.subindex:02X}"
+        self.address = row.address
         words = row.name.replace("_", " ")
         with div("parameter"):
             with div("parameter-name"):
@@ -308,14 +308,12 @@ class _Stroke:
 
     def __init__(self, desk: Desk):
         bench, axis = desk.bench, desk.axis
-        present = {row.name for row in bench.rows(axis)}
         names = [f"{end}_position_{limit}" for limit in ("limit", "range_limit")
                  for end in ("min", "max")]
         scale = bench.units(axis).position * bench.unit(axis)[1]
 
         def ends() -> tuple[float, float]:
-            values = [bench.value(axis, name) if name in present else None for name in names]
-            low, high, *turn = (float(value or 0.0) * scale for value in values)
+            low, high, *turn = (float(bench.value(axis, name) or 0.0) * scale for name in names)
             if low >= high:
                 low, high = turn  # 607Bh: the range after which positions repeat
             return (low, high) if low < high else (-180.0, 180.0)

@@ -33,7 +33,7 @@ class ObjectsPage:
         self.desk = desk
         self.rows: dict[str, Object] = {}
         for row in sorted(desk.bench.rows(desk.axis), key=lambda row: (row.index, row.subindex)):
-            self.rows[f"{row.index:04X}h:{row.subindex:02X}"] = row
+            self.rows[row.address] = row
         self._count = 0
         self._values: dict[str, str] = {}
         self.chosen: str | None = None

@@ -331,7 +331,7 @@ class Shell:
         tab = self.desk.tab
 
         def sit(session: Any) -> None:
-            if session.control.holder is None and session.seats_who_comes and not self.watches:
+            if session.control.holder is None and session.seats_first and not self.watches:
                 session.control.take(tab)
 
         await self.desk.ask(sit)
