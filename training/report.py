@@ -1,6 +1,6 @@
-"""Results as a page, data and a picture: markdown, JSON and CSV, PNG; the same bytes every time.
+"""Results as a page (Markdown), data (JSON and CSV) and a picture (PNG).
 
-Nothing in them depends on when or how fast it was computed.
+The bytes are the same every time: nothing in them depends on when or how fast they were computed.
 """
 
 import csv
@@ -21,13 +21,13 @@ from rich.progress import Progress
 from rich.table import Table
 
 PACKAGES = ("servogym", "mujoco", "gymnasium", "numpy", "numba", "ruckig")
-ROUNDING = 1e-12  # of any unit: what is smaller is none, but the rounding of sums
+ROUNDING = 1e-12  # in any unit: a smaller value is a rounding error and counts as 0
 INK = "#1f5fa8"
 GRID: Any = {"alpha": 0.3, "lw": 0.6}  # of every picture
 
 
 def origin(command: str) -> dict[str, Any]:
-    """What was run, and with what: for the head of every file of results."""
+    """The command, the machine and the versions, for the head of every file of results."""
     return {
         "command": command,
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
@@ -37,14 +37,14 @@ def origin(command: str) -> dict[str, Any]:
 
 
 def unseen(share: float) -> None:
-    """Progress that nobody looks at."""
+    """Ignore the progress."""
 
 
 @contextmanager
 def progress(console: Console | None, what: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A bar with an estimate of the time left, at a terminal, for as long as it takes.
+    """Show a progress bar with the remaining time, if the console is a terminal.
 
-    Gives a function that is told how much of `total` has been done since.
+    Yields a function that adds a share of `total` to the progress.
     """
     if console is None or not console.is_terminal:
         yield unseen
@@ -55,21 +55,21 @@ def progress(console: Console | None, what: str, total: float) -> Iterator[Calla
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind it: within the closing of a file it ends as another error."""
+    """Whether Ctrl-C has caused an error: while a file is closed, it appears as another error."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None
 
 
 def writable(option: str, path: Path, *, file: bool) -> None:
-    """Refuse what cannot be written before anything is computed for it.
+    """Refuse a path that cannot be written, before anything is computed for it.
 
     Args:
-        option: that gave the path.
-        path: of a file or of a folder; what is missing is made later.
-        file: which of them.
+        option: the option that contains the path.
+        path: path of a file or folder, which need not exist yet.
+        file: whether it is a file.
 
-    Raises ValueError saying what is in the way.
+    Raises ValueError with the obstacle.
     """
     place = path.parent if file else path
     if file and path.is_dir():
@@ -79,19 +79,19 @@ def writable(option: str, path: Path, *, file: bool) -> None:
     if not place.is_dir():
         raise ValueError(f"{option} {path}: {place} is a file, no folder; give another path")
     if not os.access(path if file and path.exists() else place, os.W_OK):
-        raise ValueError(f"{option} {path} cannot be written: {place} is closed to you")
+        raise ValueError(f"{option} {path} cannot be written: no permission for {place}")
 
 
 def kept_folder(out: Path | None, name: str, file: str, command: str) -> Path:
-    """Where results of `command` go, so that those of others are kept.
+    """Return the folder for the results of `command`, so that it overwrites no other results.
 
     Args:
-        out: given by the user; if not: a folder of its own in ``out``, numbered if need be.
-        name: of that folder.
-        file: JSON of results, that says by which command.
-        command: the present one; it may write over its own results, which are the same again.
+        out: folder given by the user; by default a folder in ``out``, numbered if necessary.
+        name: name of that folder.
+        file: name of the JSON file with the results and their command.
+        command: the present command; it may overwrite its own results, which are the same again.
 
-    Raises ValueError where `out` has those of another command.
+    Raises ValueError if `out` contains the results of another command.
     """
     if out is not None:
         if (other := _made_by(out / file)) not in ("", command):
@@ -104,7 +104,7 @@ def kept_folder(out: Path | None, name: str, file: str, command: str) -> Path:
 
 
 def _made_by(file: Path) -> str:
-    """The command that made a file of results; empty where there is none."""
+    """The command that has written a file of results; empty if there is no such file."""
     if not file.exists():
         return ""
     try:
@@ -114,7 +114,7 @@ def _made_by(file: Path) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Format a number with so many significant digits; a dash if there is none."""
+    """Format a number with some significant digits; a dash for NaN and infinity."""
     if not np.isfinite(value):
         return "–"
     if abs(value) < ROUNDING:
@@ -134,13 +134,13 @@ def table(heading: Sequence[str], rows: Iterable[Sequence[str]], title: str) -> 
 
 
 def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table whose first column is text and whose others are numbers."""
+    """A Markdown table with text in its first column and numbers in the others."""
     lines = [heading, ["---", *["---:"] * (len(heading) - 1)], *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def write_page(path: Path, title: str, table: str, source: Mapping[str, Any], notes: str) -> None:
-    """Title, table, notes, and how it was made."""
+    """Write a page with a title, a table, notes, and the command that made it."""
     parts = [f"{name} {source[name]}" for name in ("python", *PACKAGES)]
     text = f"# {title}\n\n{table}\n{notes}\n\n```sh\n{source['command']}\n```\n\n"
     text += f"{', '.join(parts)}; {source['machine']}\n"
@@ -148,7 +148,7 @@ def write_page(path: Path, title: str, table: str, source: Mapping[str, Any], no
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """What is not a number becomes null."""
+    """Write values as JSON; NaN and infinity become null."""
 
     def clean(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -163,7 +163,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def write_csv(path: Path, source: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Rows with the same names; first, as comments, how it was made."""
+    """Write rows with equal keys; comments at the top say how the file was made."""
     file = io.StringIO(newline="")
     file.writelines(f"# {name}: {value}\n" for name, value in source.items())
     writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
@@ -178,7 +178,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Completely or not at all: a full disk leaves what was there."""
+    """Write a file completely or not at all: on a full disk, the old file remains."""
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -1,7 +1,7 @@
-"""What an environment is made of: a task, a drive model and arguments.
+"""The setup of an environment: a task, a drive model and arguments.
 
-The task is found by its id once, where a command or a function of the user's gives it; from there
-on everything is handed a `Setup`.
+The task is looked up by its id once, when a command or a user's function names it. All other code
+gets a `Setup`.
 """
 
 from collections.abc import Mapping
@@ -16,15 +16,15 @@ from ..envs.environment.servo_env import ServoEnv
 
 
 class ArgumentError(ValueError):
-    """An argument that a task does not have."""
+    """An unknown argument of a task."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A task with all that its environments are made of; `Setup.of` finds the task by its id.
+    """A task with the drive and arguments of its environments; `Setup.of` looks up an id.
 
     Args:
-        task: the class.
+        task: class of the task.
         drive: drive model, by name or folder.
         arguments: further arguments of the environment.
         name: the task's id as the user wrote it, for pages, commands and other processes.
@@ -61,7 +61,7 @@ class Setup:
         return replace(self, arguments=dict(arguments), drive=drive or self.drive)
 
     def make(self) -> ServoEnv:
-        """An environment. Raises ValueError as the task does, for unknown arguments too."""
+        """Make an environment. Raises ValueError for an argument that the task refuses."""
         try:
             env = self.task(drive=self.drive, **self.arguments)
         except TypeError as error:
@@ -76,7 +76,7 @@ class Setup:
 
     @cached_property
     def ranges(self) -> Mapping[str, Any]:
-        """What the task draws at random for an episode: a value or range by name."""
+        """The parameters that the task draws at random for an episode: value or range by name."""
         env = self.make()
         env.close()
         return dict(env.randomisation.ranges)

@@ -1,4 +1,4 @@
-"""`servogym watch`: see an environment move in a window, in real time, or record it."""
+"""`servogym watch`: shows an environment in a window, in real time, or records it."""
 
 import time
 from collections.abc import Callable
@@ -9,12 +9,12 @@ import gymnasium
 from rich.console import Console
 
 from ..envs.engine.checks import words
-from .pictures.video import Recording
+from .pictures.video import recording
 from .policies import Bound, BuiltIn, Policy, make, needed
 from .report import progress
 from .setup import Setup
 
-FPS = 25  # images a second aimed at, each after a whole number of steps
+FPS = 25  # desired images per second; each follows a whole number of steps
 
 
 def run(
@@ -24,25 +24,19 @@ def run(
     """Play episodes of a policy, in a window or to a file.
 
     Args:
-        setup: of the environment.
-        policy_name: of `policies.make`.
-        episodes: how many, from 1 on.
-        seed: of the first reset, and of a random policy.
-        speed: of the playback; 1 is real time.
+        setup: the environment.
+        policy_name: as `policies.make` takes it.
+        episodes: number of episodes, at least 1.
+        seed: seed of the first reset, and of a random policy.
+        speed: playback speed; 1 is real time.
         record: file or folder; a window if not given.
-        console: for what happened in each episode.
+        console: receives a line about each episode.
 
     Raises:
-        ValueError: one of these is not possible; it says which are.
+        ValueError: unknown policy, argument or file format, or a policy without actions.
         RuntimeError: no display, or no OpenGL.
         ImportError: no encoder for MP4.
     """
-    if episodes < 1:
-        raise ValueError(f"--episodes = {episodes} is out of range 1..")
-    if seed < 0:
-        raise ValueError(f"--seed = {seed} is out of range 0..")
-    if not 0.01 <= speed <= 100.0:
-        raise ValueError(f"--speed = {speed:g} is out of range 0.01..100; 1 is real time")
     from ..envs.view.picture import Picture, require_display
 
     given = needed(policy_name) | dict(setup.arguments)
@@ -63,15 +57,16 @@ def run(
     stride = max(round(speed / FPS / env.unwrapped.step_time), 1)
     frame_time = stride * env.unwrapped.step_time / speed
     picture = Picture(env.unwrapped)
-    recording = Recording(record, 1.0 / frame_time) if record is not None else None
-    due = time.monotonic()
-    shown = console if recording is not None else None
+    writer = recording(record, 1.0 / frame_time) if record is not None else None
+    due, frames = time.monotonic(), 0
+    shown = console if writer is not None else None
 
     def frame() -> bool:
-        """Draw the present, in real time in a window; False once that has been closed."""
-        nonlocal due
-        if recording is not None:
-            recording.add(picture.image())
+        """Draw the present state, in real time in a window; False once that has been closed."""
+        nonlocal due, frames
+        if writer is not None:
+            writer.add(picture.image())
+            frames += 1
             return True
         time.sleep(max(due - time.monotonic(), 0.0))
         due = max(due, time.monotonic()) + frame_time
@@ -89,13 +84,13 @@ def run(
                 console.print("the window was closed")
                 break
     finally:
-        if recording is not None:
-            recording.close()
+        if writer is not None:
+            writer.close()
         picture.close()
         env.close()
-    if recording is not None:
+    if writer is not None:
         console.print(
-            f"{recording.frames} images, {1.0 / frame_time:g} a second: {record}",
+            f"{frames} images, {1.0 / frame_time:g} a second: {record}",
             highlight=False, soft_wrap=True,
         )
     return 0
@@ -105,7 +100,7 @@ def _episode(
     env: Any, policy: Policy, seed: int | None, stride: int, frame: Callable[[], bool],
     follow: Callable[[], None], advance: Callable[[float], None],
 ) -> tuple[bool, str]:
-    """Whether an episode came to its end, and what happened; a frame each `stride` steps."""
+    """Play an episode with a frame every `stride` steps; -> whether it ended, and its outcome."""
     observation, info = env.reset(seed=seed)
     policy.reset(observation, info)
     total, steps, ended = 0.0, 0, False

@@ -263,7 +263,7 @@ class Bench:
         self, kind: str, text: str, axis: str = "", reason: str = "", remedy: str = ""
     ) -> None:
         """Add an entry to the log; see `log.KINDS`."""
-        self.log.enter(self.time, kind, text, axis, self.control.window, reason, remedy)
+        self.log.enter(kind, text, self.time, axis, self.control.window, reason, remedy)
 
     @property
     def messages(self) -> list[Event]:

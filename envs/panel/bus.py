@@ -1,7 +1,7 @@
 """Nodes on a bus as a bench, observed by SDO uploads and bus traffic, commanded on request.
 
-Nothing is sent but SDO requests: no PDO, no SYNC, no NMT command; another master is not disturbed
-as long as it leaves the default SDO channel alone. A bench that only listens sends nothing at all.
+The bench sends SDO requests only: no PDO, no SYNC, no NMT command. Another master is not disturbed
+as long as it does not use the default SDO channel. A bench that only listens sends nothing at all.
 """
 
 import math
@@ -24,10 +24,10 @@ from .bench import Bench
 
 RATE = 20.0  # samples/s of the scope
 FASTEST = 1000.0
-REQUESTS = 200.0  # a second at most, between the samples
+REQUESTS = 200.0  # per second at most, between the samples
 PATIENCE = 0.3  # s for an answer
-AGAIN = 1.0  # s between two attempts to reach a node that is silent
-FORGOTTEN = 3.0  # s after which an object that no page asks for is not read any more
+AGAIN = 1.0  # s between two attempts to reach a silent node
+FORGOTTEN = 3.0  # s after which an object that no page asks for is no longer read
 LISTENS = "the panel was started with --listen: it sends nothing"
 WATCHED = (
     "statusword", "controlword", "modes_of_operation_display", "position_actual_value",
@@ -36,15 +36,14 @@ WATCHED = (
 )
 ABSENT = {
     "machine": "A picture in 3D needs the model of the machine; a bus reports positions only.",
-    "loops": "Loops are measured in every cycle of the controllers, on a copy of the machine; a "
-    "bus shows a fraction of the cycles, and there is no copy of a machine that is elsewhere.",
+    "loops": "Loops are measured in every cycle of the controllers, on a copy of the machine. A "
+    "bus shows a fraction of the cycles, and a machine on a bus cannot be copied.",
     "experiments": "Faults, disturbances, snapshots and policies act on a simulated machine in "
-    "this process; what is behind a bus may be a real one.",
-    "lessons": "Exercises begin with a machine in a certain state and look into the drive; behind "
-    "a bus neither is possible.",
+    "this process; the machine on a bus may be a real one.",
+    "lessons": "Exercises begin with a machine in a certain state and observe the inside of the "
+    "drive; neither is possible on a bus.",
     "time": "The time of a bus cannot be stopped, slowed down or turned back.",
-    "parameters": "A parameter file is what the drive itself stores: write 65766173h to 1010h:01, "
-    "and the node stores what it has.",
+    "parameters": "The drive itself stores its parameters: write 65766173h to 1010h:01.",
 }
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 Key = tuple[str, int, int]  # axis, index, sub-index
@@ -55,13 +54,13 @@ class BusBench(Bench):
     """Nodes on a bus.
 
     Args:
-        bus: the way to it.
-        nodes: node-ids 1..127 by the name that the drive goes by.
-        model: the drive model whose objects go by name.
-        rate: of the scope (samples/s), as far as the nodes answer in time.
-        units: of the drives at the load, where their factors are known.
-        listen: send nothing; what is seen are the PDOs that pass, with the mapping of the model.
-        title: what people call it.
+        bus: port of the bus.
+        nodes: node-ids 1..127 by the names of the drives.
+        model: the drive model that names the objects.
+        rate: sampling rate of the scope (1/s), as far as the nodes answer in time.
+        units: units of the drives at the load, if their factors are known.
+        listen: send nothing, and show the PDOs that pass with the mapping of the model.
+        title: title of the page.
 
     Raises:
         ValueError: node-id or rate out of range, unknown model.
@@ -83,11 +82,11 @@ class BusBench(Bench):
         self._named = {row.name: row for row in self._rows}
         self._places = {(row.index, row.subindex): row for row in self._rows}
         self._known: dict[Key, float | str] = {}
-        self._heard: dict[Key, float] = {}  # when a PDO brought it last (s)
-        self._asked: dict[Key, float] = {}  # when a page has asked for it last (s)
-        self._silent: dict[str, float] = {}  # axis that does not answer -> when to try again (s)
+        self._heard: dict[Key, float] = {}  # time of the last PDO with the object (s)
+        self._asked: dict[Key, float] = {}  # time of the last request of a page (s)
+        self._silent: dict[str, float] = {}  # axis that does not answer: time of the next try (s)
         self._pdos: dict[int, Where] = {}  # by identifier
-        self._images: dict[Where, tuple[Pdo, bytes]] = {}  # of PDOs that have passed
+        self._images: dict[Where, tuple[Pdo, bytes]] = {}  # last data of each PDO
         self._turn = 0
         self.bus = _Tap(bus, nodes, load(model, "can"), sdo_timeout=PATIENCE, units=units)
         self.bus.hear = self._hear
@@ -151,7 +150,7 @@ class BusBench(Bench):
             self._read(axis, self._watched[turn // len(self.axes) % len(self._watched)])
 
     def _read(self, axis: str, row: Object, fresh: float = 0.0) -> None:
-        """Read an object by SDO, unless a PDO brought it within `fresh` (s) or the node is mute."""
+        """Read an object by SDO, unless a PDO is newer than `fresh` (s) or the node is silent."""
         key = axis, row.index, row.subindex
         now = self.bus.now()
         if now < self._silent.get(axis, 0.0) or now - self._heard.get(key, -math.inf) < fresh:
@@ -172,7 +171,7 @@ class BusBench(Bench):
             self._map_again(axis)
 
     def _map_again(self, *axes: str) -> None:
-        """Read the PDO mapping of these nodes when there is time for it."""
+        """Have the PDO mapping of these nodes read between other requests."""
         wanted = [(axis, direction) for axis in axes for direction in ("tx", "rx")]
         self._unmapped = [*dict.fromkeys((*self._unmapped, *wanted))]
 
@@ -182,10 +181,10 @@ class BusBench(Bench):
             self._know(axis, direction, self.bus.nodes[axis].pdos(direction))
         except SdoAbort:
             pass  # a node without PDO objects
-        except Timeout:  # it is read anew when the node answers again
+        except Timeout:  # the mapping is read again when the node answers
             self._silent.setdefault(axis, self.bus.now() + AGAIN)
 
-    # ------------------------------------------------------------------- what passes
+    # ------------------------------------------------------------------- bus traffic
 
     def _know(self, axis: str, direction: str, pdos: Iterable[Pdo]) -> None:
         for number, pdo in enumerate(pdos):
@@ -358,7 +357,7 @@ def _decoded(row: Object, data: bytes) -> float | str:
 
 
 class _Tap(CanOpenPort):
-    """The port of the nodes, which also listens to all traffic."""
+    """The port of the nodes, which passes all bus traffic to `hear` as well."""
 
     hear: Callable[[Frame], None] = staticmethod(lambda frame: None)
 
@@ -371,7 +370,7 @@ class _Tap(CanOpenPort):
 
 
 class _Port:
-    """The port through which masters reach the nodes; time advances through the bench."""
+    """The port through which masters reach the nodes; time passes through the bench."""
 
     def __init__(self, bus: CanOpenPort, bench: BusBench):
         self._bus, self._bench = bus, bench
@@ -381,7 +380,7 @@ class _Port:
 
     @property
     def silence(self) -> float:
-        """Time (s) that passed until lost SDO transfers were begun anew."""
+        """Time (s) that passed until lost SDO transfers were repeated."""
         return self._bus.silence
 
     def upload(self, axis: str, name: str) -> int | float:
@@ -392,7 +391,7 @@ class _Port:
     read = upload
 
     def write(self, axis: str, name: str, value: int | float) -> None:
-        """Write an object by SDO and read it back. Returns the reason of a refusal, or nothing."""
+        """Write an object by SDO."""
         self._may()
         self._bus.write(axis, name, value)
         self._bench.forward(axis, name, value)

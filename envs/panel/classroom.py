@@ -1,12 +1,12 @@
 """A classroom: a place with its own machine for each pupil, and a teacher who sees them all.
 
-Places have nothing in common but the process: each has its session, its clock with its thread, its
-token and its results. Who comes with the code of the class and a name that nobody has gets a place;
-who comes again from another browser needs the code of that place as well, unless nobody has opened
-it yet: a form that was sent twice, or whose answer was lost on the way, is the same pupil's.
+Places share only the process: each has its own session, clock with thread, token and results. A
+pupil who gives the code of the class and a new name gets a place. A pupil who returns in another
+browser gives the code of the place as well. That code is not needed as long as no browser has
+opened the place, because the form may have been sent twice or its answer may have been lost.
 
-People come and go one at a time (`_door`), and `places` is replaced, never changed: whoever walks
-through them in another thread sees all of one instant.
+Pupils enter and leave one at a time (`_door`). `places` is replaced and never changed, so that
+another thread that iterates over it sees the places of one instant.
 """
 
 import csv
@@ -32,9 +32,9 @@ from .session import Session
 
 MOST = 24
 CYCLES = 8  # position cycles an exchange: 4 ms at a position cycle of 0.5 ms
-NAP = 0.016  # s: many threads that wake seldom cost less than many that wake often
+NAP = 0.016  # s: many threads cost less if they wake rarely
 LONGEST = 32  # characters of a name
-LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is taken for another one
+LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none is easily mistaken for another one
 LOOK_ALIKE = {"LATIN", "CYRILLIC", "GREEK"}  # alphabets with letters that read the same
 TEACHER = "the teacher"
 FORM = "servogym class 1"
@@ -61,10 +61,10 @@ class Place:
     """A pupil's machine, and what the pupil has done with it.
 
     Args:
-        number: of the place, from 1.
-        name: of the pupil.
-        session: of its own.
-        pictures: a second.
+        number: number of the place, from 1.
+        name: name of the pupil.
+        session: its own session.
+        pictures: pictures per second.
     """
 
     def __init__(self, number: int, name: str, session: Session, pictures: float):
@@ -85,17 +85,17 @@ class Classroom:
     """The places, their pupils, and the pupils' results.
 
     Args:
-        make: a session with a fresh machine, position cycles an exchange as given.
-        kind: of the machine, key of `plants.catalogue.AXES`.
-        drive: its model.
-        exercises: that can be given.
-        most: places.
-        pictures: a second.
-        results: folder for ``results.csv`` and the runs; None: they stay in memory.
-        word: the code of the class; one is drawn if none is given.
+        make: returns a session with a fresh machine, for some position cycles per exchange.
+        kind: kind of the machine, key of `plants.catalogue.AXES`.
+        drive: drive model.
+        exercises: exercises that the teacher can give.
+        most: number of places.
+        pictures: pictures per second.
+        results: folder for ``results.csv`` and the runs; None keeps them in memory.
+        word: code of the class; drawn at random by default.
 
     Raises:
-        ValueError: no places, a code that is guessed soon, no such folder.
+        ValueError: number of places out of range, or a code that is too short or too long.
     """
 
     def __init__(
@@ -110,20 +110,20 @@ class Classroom:
         self._make, self.kind, self.drive, self.most = make, kind, drive, most
         self.exercises, self.pictures = tuple(exercises), pictures
         self.word = word or f"{code(4)}-{code(4)}"
-        self.open = True  # whether new pupils may come
-        self.task: Exercise | None = None  # of all, and of who comes later
+        self.open = True  # whether new pupils may enter
+        self.task: Exercise | None = None  # of all pupils, also of those who enter later
         self.places: dict[int, Place] = {}
-        self._door, self._lock = threading.Lock(), threading.RLock()  # people, results
+        self._door, self._lock = threading.Lock(), threading.RLock()  # for pupils, for results
         self._files: Path | None = results
         if results is not None:
             (results / "runs").mkdir(parents=True, exist_ok=True)
 
-    # ----------------------------------------------------------------- who comes
+    # --------------------------------------------------------- pupils who enter
 
     def person(self, token: str) -> Place | None:
         """Return the place to which a token belongs, and open it."""
         found = None
-        for place in self.places.values():  # all of them: time tells nothing
+        for place in self.places.values():  # all of them, so that the time reveals nothing
             if hmac.compare_digest(place.token.encode(), token.encode()):
                 found = place
         if found is not None:
@@ -139,9 +139,9 @@ class Classroom:
         """The reason why somebody may not enter; empty if they may.
 
         Args:
-            name: of the pupil.
+            name: name of the pupil.
             word: code of the class.
-            own: code of the place, of who has one.
+            own: code of the place, if the pupil has one.
         """
         if not hmac.compare_digest(_simple(word).encode(), _simple(self.word).encode()):
             return "This is not the code of the class: ask your teacher for it."
@@ -167,13 +167,13 @@ class Classroom:
         return ""
 
     def enter(self, name: str, word: str, own: str = "") -> str:
-        """The token of a pupil's place, a new one if there is none yet; as `may_enter`.
+        """Return the token of a pupil's place, which is made if there is none yet.
 
-        Who comes to a place that nobody has opened gets a new token for it: the earlier one, which
-        may be on its way to somebody else, opens nothing any more.
+        A place that no browser has opened yet gets a new token, because the earlier one may be on
+        its way to somebody else. Arguments as of `may_enter`.
 
         Raises:
-            ValueError: they may not come in.
+            ValueError: the pupil may not enter.
         """
         with self._door:
             if wrong := self.may_enter(name, word, own):
@@ -195,7 +195,7 @@ class Classroom:
         return session
 
     def _seat(self, place: Place) -> None:
-        """Assign this place to somebody."""
+        """Open a place."""
         session: Any = place.clock.session
         session.attempted = lambda pupil: self._attempted(place, pupil)
         if self.task is not None:
@@ -214,14 +214,14 @@ class Classroom:
 
     @property
     def _kept(self) -> Path | None:
-        """File with the places of the class that has this code."""
+        """The file with the places of the class with this code."""
         if self._files is None:
             return None
         key = hashlib.sha256(_simple(self.word).encode()).hexdigest()[:12]
         return self._files / f"class-{key}.json"
 
     def _keep(self) -> None:
-        """Write who has which place; only the user of the server can read the file."""
+        """Write the places and their pupils; only the user of the server can read the file."""
         if self._kept is None:
             return
         with self._lock:
@@ -237,15 +237,15 @@ class Classroom:
             new.replace(self._kept)
 
     def resume(self) -> int:
-        """Restore the places of returning pupils; their machines are fresh.
+        """Restore the places of an earlier classroom; their machines are fresh.
 
-        They were here if a class room with the same code and the same folder for results was.
+        It had the same code and the same folder for results.
 
         Returns:
-            How many they are.
+            The number of places.
 
         Raises:
-            ValueError: what lies in the folder is no such class.
+            ValueError: the file in the folder is damaged.
         """
         if self._kept is None or not self._kept.exists():
             return 0
@@ -261,8 +261,8 @@ class Classroom:
                 self._seat(place)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(
-                f"{self._kept} is not a class that was kept ({error!r}): take another code, or "
-                "another folder for --results"
+                f"{self._kept} is not a stored class ({error!r}): take another code, or another "
+                "folder for --results"
             ) from None
         return len(self.places)
 
@@ -273,11 +273,11 @@ class Classroom:
         for place in self.places.values():
             place.clock.stop()
 
-    # -------------------------------------------------------------- what is done
+    # ----------------------------------------------------------- tasks and results
 
     def give(self, exercise: Exercise | None) -> None:
-        """Begin a task for all at once, each on a fresh machine; None leaves new pupils free."""
-        with self._door:  # who comes meanwhile gets it once
+        """Begin an exercise on all machines at once, each one fresh; None ends the task for all."""
+        with self._door:  # a pupil who enters meanwhile gets it once
             self.task, places = exercise, self.places
         if exercise is None:
             return
@@ -285,7 +285,7 @@ class Classroom:
             place.clock.stop_motion(lambda session: _given(session, exercise))
 
     def reset(self, place: Place) -> None:
-        """Restore the initial state of a machine; this ends an exercise."""
+        """Restore the initial state of a machine, which ends its exercise."""
         place.clock.stop_motion(_fresh)
 
     def stop(self) -> None:
@@ -330,7 +330,7 @@ def code(length: int) -> str:
 
 
 def _simple(text: str) -> str:
-    """Normalise a code as somebody has typed it."""
+    """Normalise a code that somebody has typed."""
     return "".join(text.split()).replace("-", "").casefold()
 
 

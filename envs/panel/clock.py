@@ -1,7 +1,7 @@
 """Clock: runs a session against the wall clock, in the only thread that touches it.
 
-Requests are served between two cycles; a motion goes on until it ends or the next one begins, which
-waits for a change of state or mode, unless it is a stop.
+Requests are served between two cycles. A motion lasts until it ends or until the next one begins.
+The next one waits for a change of state or mode to complete, unless it is a stop.
 """
 
 import queue
@@ -18,7 +18,7 @@ from .bench import ENDED, Bench, Interrupted
 SLOWEST, FASTEST = 0.1, 10.0
 NAP = 0.004  # s
 SILENT = "the window in control was closed, disconnected or has frozen"
-DEBT = 0.1  # s behind the wall clock that are made up for; more are let go
+DEBT = 0.1  # s behind the wall clock that are made up for; a greater delay is dropped
 MEASURED = 1.0  # s over which the speed is measured
 
 
@@ -26,9 +26,9 @@ class Clock:
     """Runs a session until `stop`.
 
     Args:
-        session: is touched by nobody else from `start` on.
-        pictures: a second, at most, that `shown` is made anew.
-        nap: how long the thread sleeps at least when it is ahead of the wall clock (s).
+        session: belongs to the thread of this clock from `start` on.
+        pictures: maximum number of updates of `shown` per second.
+        nap: shortest time for which the thread sleeps when it is ahead of the wall clock (s).
     """
 
     def __init__(self, session: Bench, pictures: float = 25.0, nap: float = NAP):
@@ -72,7 +72,7 @@ class Clock:
         return future
 
     def move(self, motion: Callable[[Bench], Any], *, at_once: bool = False) -> "Future[Any]":
-        """Carry out a motion; the present one ends at once, or completes first if not `at_once`."""
+        """Carry out a motion; a change of state or mode completes first, unless `at_once`."""
         future: Future[Any] = Future()
         self._motions.append((motion, future, at_once))
         return future
@@ -129,7 +129,7 @@ class Clock:
                     session.exchange()
             except Interrupted:
                 pass
-            except Exception as error:  # the machine stands; a reset or a snapshot helps
+            except Exception as error:  # the machine stands until a reset or a snapshot
                 session.release()
                 session.tell("alarm", f"the simulation stopped: {error}")
                 self.paused = "time" not in session.absent
@@ -137,7 +137,7 @@ class Clock:
             finally:
                 self._in_motion = False
         session.pace = lambda: False
-        if session.real_time:  # what is moved is elsewhere and would go on
+        if session.real_time:  # the drives are elsewhere and would go on
             with suppress(Exception):
                 session.abandon("the panel ends")
         while not self._requests.empty():
@@ -175,7 +175,7 @@ class Clock:
                     self._rebase()
                     return True
                 if self._motions:
-                    self.paused = False  # who commands a motion wants to see it
+                    self.paused = False  # a commanded motion has to be visible
                     continue
                 self._rebase()
                 self._wait(self._nap * 4)
@@ -198,7 +198,7 @@ class Clock:
         return any(at_once for *_, at_once in self._motions.copy())
 
     def _wait(self, seconds: float) -> None:
-        """Sleep until the time or a request comes."""
+        """Sleep for some time, or until a request arrives."""
         try:
             request = self._requests.get(timeout=seconds)
         except queue.Empty:

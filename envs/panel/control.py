@@ -1,8 +1,7 @@
-"""Control: one seat, and a token for each tab of the browser.
+"""Control: one seat for the tab that commands, and a name for each tab.
 
-A stop needs no seat. Who has the seat shows with each picture that it is still there; a window that
-is silent for `LOST` seconds, because it was closed, cut off or stands still, has lost what it had
-set in motion: the clock stops it.
+A stop needs no seat. The tab in the seat confirms each picture. If it is silent for `LOST` seconds
+because it was closed, cut off or frozen, the clock stops the motions that it has started.
 """
 
 LOST = 3.0  # s of silence; a reload takes less
@@ -18,9 +17,9 @@ class Control:
     def __init__(self) -> None:
         self.holder: str | None = None
         self.takeovers = 0
-        self.window = ""  # that has sent the present request
-        self.named: dict[str, str] = {}  # by tab
-        self._seen: float | None = None  # when the holder was there last (s); None: it never says
+        self.window = ""  # name of the tab that has sent the present request
+        self.named: dict[str, str] = {}  # names by tab
+        self._alive: float | None = None  # time of the holder's last beat (s), if any
 
     def name(self, tab: str) -> str:
         """The name of a tab in the log."""
@@ -31,13 +30,13 @@ class Control:
         if self.holder not in (None, tab):
             self.takeovers += 1
         if self.holder != tab:
-            self._seen = None
+            self._alive = None
         self.holder = tab
 
     def leave(self, tab: str) -> None:
         """Release the seat, if this tab holds it."""
         if self.holder == tab:
-            self.holder, self._seen = None, None
+            self.holder, self._alive = None, None
 
     def holds(self, tab: str) -> bool:
         """Whether this tab commands."""
@@ -52,11 +51,11 @@ class Control:
     def beat(self, tab: str, now: float) -> None:
         """Note that a tab is alive at `now` (s)."""
         if self.holder == tab:
-            self._seen = now
+            self._alive = now
 
     def lost(self, now: float) -> bool:
         """Whether the holder was silent for too long; reported once."""
-        if self._seen is None or now - self._seen < LOST:
+        if self._alive is None or now - self._alive < LOST:
             return False
-        self._seen = None
+        self._alive = None
         return True

@@ -11,11 +11,11 @@ class Disturbance(NamedTuple):
     """A disturbance with a size; 0 means none."""
 
     name: str
-    unit: str  # people give it in
+    unit: str  # in which it is entered
     scale: float  # of that unit in SI
     most: float  # in that unit
     read: Callable[[Session, int], float]
-    part: str = ""  # of `course.exercise.DISTURBANCES`; else it is the delay of commands
+    part: str = ""  # key of `course.exercise.DISTURBANCES`; empty for the delay of commands
 
 
 def _mechanics(name: str) -> Callable[[Session, int], float]:
@@ -36,7 +36,7 @@ DISTURBANCES = (
 
 
 def unit_at(session: Session, disturbance: Disturbance, axis: str) -> str:
-    """The unit in which it is entered, for the joint of an axis."""
+    """The unit of a disturbance for the joint of an axis."""
     turns = session.port.units(axis).name == "rad"
     return {"µm": "µrad", "N": "Nm"}.get(disturbance.unit, disturbance.unit) if turns else (
         disturbance.unit

@@ -2,7 +2,7 @@
 
 import math
 
-LONGEST = 40  # characters that are told back
+LONGEST = 40  # characters of the input that a message repeats
 
 
 def number(
@@ -11,14 +11,14 @@ def number(
 ) -> float:
     """Parse the number in a field.
 
-    Whole numbers may be hexadecimal: ``0x1F`` or ``1Fh``. A decimal comma is a point.
+    Whole numbers may be hexadecimal: ``0x1F`` or ``1Fh``. A decimal comma counts as a point.
 
     Raises:
-        ValueError: what is wrong, with the range.
+        ValueError: invalid number; the message contains the range.
     """
     typed = str(text if text is not None else "").strip()
     shown = typed if len(typed) <= LONGEST else f"{typed[:LONGEST]}…"
-    between = f"{_told(low)}..{_told(high)} {unit}".strip() if math.isfinite(low + high) else unit
+    between = f"{_bound(low)}..{_bound(high)} {unit}".strip() if math.isfinite(low + high) else unit
     if not typed:
         raise ValueError(f"enter a number {between}".strip())
     value = _hexadecimal(typed) if whole else None
@@ -50,5 +50,5 @@ def _hexadecimal(typed: str) -> float | None:
         return None
 
 
-def _told(value: float) -> str:
+def _bound(value: float) -> str:
     return f"{value:.0f}" if value == int(value) else f"{value:g}"

@@ -1,7 +1,7 @@
 """Function generator: set-points over time within the limits of an axis.
 
-A wave begins and ends where the set-point is 0; it is refused in words where its peak speed or
-acceleration is more than the axis may have.
+A wave begins and ends where the set-point is 0. It is refused with the reason if its peak speed or
+acceleration exceeds the limits of the axis.
 """
 
 import math
@@ -13,23 +13,6 @@ from ...drive.diagrams import Mode
 Wave = Callable[[float], float]  # of the time (s)
 
 
-class Kind(NamedTuple):
-    """The quantity of a set-point."""
-
-    name: str  # of the object
-    modes: tuple[Mode, ...]  # the first that a drive has
-    shapes: tuple[str, ...]
-
-
-KINDS = {
-    "position": Kind("target_position", (Mode.CYCLIC_SYNC_POSITION,), ("sine", "to and fro")),
-    "velocity": Kind("target_velocity", (Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY),
-                     ("sine", "square")),
-    "torque": Kind("target_torque", (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE),
-                   ("sine", "square")),
-}
-
-
 class AxisLimits(NamedTuple):
     """Limits of an axis (SI at the load)."""
 
@@ -37,10 +20,19 @@ class AxisLimits(NamedTuple):
     acceleration: float
 
 
-def travel(way: float, most: AxisLimits) -> tuple[Wave, float]:
-    """Plan a rest-to-rest motion from 0 to `way`. Returns the wave and its duration.
+class Kind(NamedTuple):
+    """The quantity of a set-point."""
 
-    The trapezoid of velocity, in closed form.
+    name: str  # of the object
+    modes: tuple[Mode, ...]  # a drive gets the first one that it has
+    shapes: tuple[str, ...]
+    wave: Callable[[str, float, float, AxisLimits], Wave]  # of shape, size, frequency (Hz), limits
+
+
+def travel(way: float, most: AxisLimits) -> tuple[Wave, float]:
+    """Plan a rest-to-rest motion from 0 to `way`: a trapezoid of velocity, in closed form.
+
+    Returns the wave and its duration (s).
     """
     distance, sign = abs(way), math.copysign(1.0, way)
     speed = min(most.velocity, math.sqrt(distance * most.acceleration))
@@ -83,29 +75,30 @@ def velocity(shape: str, size: float, frequency: float, most: AxisLimits) -> Wav
     """A wave of speeds up to `size` in both directions. Raises ValueError beyond the limits."""
     _within("speed", abs(size), most.velocity)
     if shape == "sine":
-        rate = 2 * math.pi * frequency
-        _within("acceleration", abs(size) * rate, most.acceleration)
-        return lambda time: size * math.sin(rate * time)
-    return _square(size, frequency)
+        _within("acceleration", abs(size) * 2 * math.pi * frequency, most.acceleration)
+    return torque(shape, size, frequency, most)
 
 
 def torque(shape: str, size: float, frequency: float, _: AxisLimits) -> Wave:
-    """A wave of torques up to `size` in both directions."""
+    """A wave up to `size` in both directions, without limits."""
     if shape == "sine":
         return lambda time: size * math.sin(2 * math.pi * frequency * time)
-    return _square(size, frequency)
-
-
-WAVES = {"position": position, "velocity": velocity, "torque": torque}
-
-
-def _square(size: float, frequency: float) -> Wave:
     return lambda time: size if time * frequency % 1.0 < 0.5 else -size
 
 
 def _within(what: str, peak: float, most: float) -> None:
     if peak > most * (1 + 1e-9):
         raise ValueError(
-            f"its peak {what} is {peak:.4g}, more than the {most:.4g} that the axis may have (SI): "
-            "choose less, or a lower frequency"
+            f"its peak {what} is {peak:.4g}, but the axis may have {most:.4g} at most (SI): choose "
+            "less, or a lower frequency"
         )
+
+
+KINDS = {
+    "position": Kind("target_position", (Mode.CYCLIC_SYNC_POSITION,), ("sine", "to and fro"),
+                     position),
+    "velocity": Kind("target_velocity", (Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNC_VELOCITY),
+                     ("sine", "square"), velocity),
+    "torque": Kind("target_torque", (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE),
+                   ("sine", "square"), torque),
+}

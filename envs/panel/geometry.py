@@ -14,7 +14,7 @@ from ..view.decor import Part, parts
 PLACE = np.dtype("<f4")
 TARGETS = (Mode.PROFILE_POSITION, Mode.HOMING)
 THIN = 0.004  # m, of a limit plate
-MOST_VERTICES = 60_000  # of a mesh; more are shown as their box
+MOST_VERTICES = 60_000  # of a mesh; a larger one is shown as its box
 
 
 def scene(machine: Machine) -> dict[str, Any]:
@@ -143,9 +143,9 @@ class Poses:
                 away = away or abs(distance) > 1e-4
         mujoco.mj_kinematics(machine.model, ghost)
         active = [coupling.switch_active.tolist() for coupling in machine.couplings]
-        return {"now": self._told(here), "ghost": self._told(ghost) if away else None,
+        return {"now": self._packed(here), "ghost": self._packed(ghost) if away else None,
                 "switches": active}
 
-    def _told(self, data: mujoco.MjData) -> list[float]:
+    def _packed(self, data: mujoco.MjData) -> list[float]:
         poses = np.hstack((data.xpos[self._bodies], data.xquat[self._bodies])).astype(PLACE)
         return np.round(poses.astype(float), 5).ravel().tolist()

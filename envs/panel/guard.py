@@ -1,11 +1,11 @@
-"""Access control: requests need the token and have to come from a page of our own.
+"""Access control: a request needs the token and has to come from one of our own pages.
 
-The token is asked for on the loopback, too: other people's programs on this computer reach it. It
-comes as ``?token=`` once and as a cookie from then on; the address loses it, for it may be seen on
-a projector. A stranger's page that the same browser has
-open has no cookie of ours, or, as a page of another port of this computer, another origin; a name
-that somebody points here (DNS rebinding) has no cookie either. So the host does not matter: behind
-a proxy, an ``ssh -L`` with another port and by a bare name it is another one, and that is right.
+The token is required on the loopback interface too, because programs of other users of this
+computer reach it. It arrives as ``?token=`` once and as a cookie afterwards; the address loses it,
+because it may be shown on a projector. A foreign page in the same browser has no cookie of ours,
+or, if another port of this computer serves it, another origin. A foreign host name that points
+here (DNS rebinding) has no cookie either. For this reason the host name is not checked: behind a
+proxy, through ``ssh -L`` or under a bare name it is a different one.
 """
 
 import hmac
@@ -19,7 +19,7 @@ Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsewhere
+HEADERS = (  # no other page shows ours in a frame, and nothing is loaded from other hosts
     (b"x-frame-options", b"DENY"),
     (
         b"content-security-policy",
@@ -27,7 +27,7 @@ HEADERS = (  # no other page shows ours in a frame; nothing is loaded from elsew
         b"'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' "
         b"ws: wss:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'",
     ),
-    (b"referrer-policy", b"same-origin"),  # "no-referrer" would take the origin of a form, too
+    (b"referrer-policy", b"same-origin"),  # "no-referrer" would remove the origin of a form too
     (b"x-content-type-options", b"nosniff"),
 )
 
@@ -37,15 +37,15 @@ def is_loopback(host: str) -> bool:
     return host in LOOPBACK
 
 
-PAGE = re.compile("/_nicegui/client/([^/]+)/")  # what is sent to a page
+PAGE = re.compile("/_nicegui/client/([^/]+)/")  # path of files that are sent to a page
 LARGEST = 1_000_000  # bytes of a file
-PERSON = "servogym.person"  # of a scope: who asks
+PERSON = "servogym.person"  # key of a scope: the person who sends the request
 LEAVE = "/leave"  # the browser forgets its token
 JOIN = "/join"  # where strangers send their form
 
 
 class Door(Protocol):
-    """Tells the owners of tokens from strangers, and answers strangers."""
+    """Recognises the owners of tokens, and answers strangers."""
 
     def person(self, token: str) -> Any:
         """Return the owner of a token, None for a stranger."""
@@ -79,9 +79,9 @@ class Guard:
     Args:
         app: the guarded ASGI application.
         door: recognises tokens.
-        name: of the cookie, different for each server, because a browser stores cookies by host
-            and not by port.
-        owner: of a page, by its id; None if there is no such page.
+        name: name of the cookie, different for each server, because a browser stores cookies by
+            host and not by port.
+        owner: returns the owner of a page by its id; None if there is no such page.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Guard:
         elif not wrong and plain and scope["path"] == LEAVE:
             gone = self._cookie("", secure) + b"; Max-Age=0"
             await answer(own, 303, "", (b"location", b"."), (b"set-cookie", gone))
-        elif not wrong and plain and scope["path"] == JOIN:  # a form from before they came in
+        elif not wrong and plain and scope["path"] == JOIN:  # a form that was sent twice
             await answer(own, 303, "", (b"location", b"."))
         elif not wrong:
             scope[PERSON] = person
@@ -124,14 +124,14 @@ class Guard:
             await answer(own, 403, f"servogym panel: {wrong}\n")
 
     def _sent_elsewhere(self, scope: Scope, headers: dict[str, str], person: Any) -> str:
-        """Why a file is refused: it is for another person's page, or too large."""
+        """The reason why a file is refused: it is meant for another person, or too large."""
         if (found := PAGE.match(scope["path"])) is None:
             return ""
         if self.owner(found[1]) not in (None, person):
             return "that page is another person's"
         length = headers.get("content-length", "" if scope.get("method") == "POST" else "0")
         if not length.isdecimal() or int(length) > 2 * LARGEST:
-            return f"a file has to say how long it is, at most {LARGEST} bytes"
+            return f"a file has to state its length, at most {LARGEST} bytes"
         return ""
 
     @staticmethod
@@ -150,7 +150,7 @@ class Guard:
         return ""
 
     def judge(self, headers: dict[str, str], query: str) -> tuple[str, str, Any]:
-        """Why a request is refused, empty if it is not; the token in its address; who asks."""
+        """The reason why a request is refused or "", the token in its address, and the person."""
         if wrong := self.stranger(headers):
             return wrong, "", None
         given = parse_qs(query).get("token", [""])[0]
@@ -182,7 +182,7 @@ async def answer(
     send: Send, status: int, text: str, *headers: tuple[bytes, bytes],
     kind: str = "text/plain",
 ) -> None:
-    """A page of a few lines."""
+    """Send a short page."""
     own = (b"content-type", f"{kind}; charset=utf-8".encode()), (b"cache-control", b"no-store")
     await send({"type": "http.response.start", "status": status, "headers": [*own, *headers]})
     await send({"type": "http.response.body", "body": text.encode()})

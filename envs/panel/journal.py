@@ -1,8 +1,8 @@
-"""Journal: all outside actions on a machine, by the cycle, so that a run can be replayed.
+"""Journal: all actions on a machine from outside, by cycle, so that a run can be replayed.
 
-Pages, masters and experiments reach the drives of a session by `ACTS` alone. What was done since an
-exercise began, at which position cycle, is the run; on a fresh machine of the same kind the same
-acts at the same cycles make the same motion, bit by bit, and the same verdict.
+Pages, masters and experiments reach the drives of a session only through `ACTS`. A run consists of
+all actions since an exercise began, each with its position cycle. On a fresh machine of the same
+kind, the same actions at the same cycles cause the same motion, bit for bit, and the same verdict.
 """
 
 import base64
@@ -30,7 +30,7 @@ def _parameters(machine: Machine, axis: str, content: str) -> str:
     return machine.drives[axis].use_parameters(base64.b64decode(content))
 
 
-# what a journal has is JSON: a name, then the arguments
+# a journal contains JSON: the name of an action, then its arguments
 ACTS: dict[str, Callable[..., Any]] = {
     "write": lambda machine, axis, *arguments: machine.drives[axis].write(*arguments),
     "commission": lambda machine, axis, values: machine.drives[axis].commission(values),
@@ -39,11 +39,11 @@ ACTS: dict[str, Callable[..., Any]] = {
     "clear": lambda machine, axis: machine.drives[axis].clear_injected(),
     "ail": _ail,
 }
-# what is done to the attempt instead
+# actions on the attempt instead of the machine
 ANSWERS: dict[str, Callable[..., Any]] = {
     "hint": Attempt.hint, "predict": Attempt.predict, "lose": Attempt.lose,
 }
-CYCLES = "cycles"  # of an exchange, from here on
+CYCLES = "cycles"  # position cycles of an exchange, from here on
 
 
 class Journal:
@@ -79,11 +79,11 @@ def outcome(kind: str, drive: str, axis: str, attempt: Attempt, journal: Journal
     """A run, as stored in its file.
 
     Args:
-        kind: of the machine, key of `plants.catalogue.AXES`.
-        drive: model.
-        axis: that was judged.
-        attempt: at the exercise.
-        journal: since it began.
+        kind: kind of the machine, key of `plants.catalogue.AXES`.
+        drive: drive model.
+        axis: the axis that was judged.
+        attempt: the attempt at the exercise.
+        journal: the journal since the exercise began.
     """
     return {
         "form": FORM, "exercise": attempt.exercise.name, "machine": kind, "drive": drive,

@@ -9,14 +9,14 @@ from .session import Session
 
 
 class Progress(NamedTuple):
-    """How far a pupil is, as pages show it: all of one instant, whatever begins meanwhile.
+    """The progress of a pupil at one instant, as pages show it.
 
     Args:
-        exercise: that is being done.
+        exercise: the present exercise.
         step: number of the present step.
-        text: of the step; empty when all is done.
-        wrong: why the exercise is lost, empty if it is not.
-        times: of the steps that are done (s since the exercise began).
+        text: text of the step; empty after the last one.
+        wrong: why the exercise has failed; empty if it has not.
+        times: when each finished step was done (s since the exercise began).
         hinted: hints given for the step.
         used: number of hints given for all steps.
         asks: whether the step waits for a prediction.
@@ -43,24 +43,24 @@ class Progress(NamedTuple):
 
 
 class Pupil:
-    """An exercise that is being done on an axis of a session.
+    """An exercise under way on an axis of a session.
 
-    The machine begins as it was when the panel was started: what was changed since is lost.
+    The machine begins in the state that it had when the panel was started; later changes are lost.
 
     Args:
-        session: whose drive is judged.
-        axis: which of them.
-        exercise: to be done.
+        session: the session with the machine.
+        axis: the axis that is judged.
+        exercise: the exercise.
 
     Raises:
-        ValueError: the machine cannot begin as the exercise says.
+        ValueError: the machine cannot begin as the exercise demands.
     """
 
     def __init__(self, session: Session, axis: str, exercise: Exercise):
         session.release()
         if session.pupil is not None:
             session.pupil.end()
-        session.pupil, self._session, self._told = None, session, False
+        session.pupil, self._session, self._ended = None, session, False
         session.restore(session.fresh)
         session.delay = 0.0
         self.exercise, self.axis = exercise, axis
@@ -86,18 +86,15 @@ class Pupil:
 
     def look(self) -> None:
         """Judge the cycles that have passed."""
-        if not self._told:
+        if not self._ended:
             self.attempt.look()
-            self._tell()
-
-    def _tell(self) -> None:
-        if self.over and not self._told:
-            self.end()
+            if self.over:
+                self.end()
 
     def end(self) -> None:
-        """Report the end of the attempt once to the keeper of results."""
-        if not self._told:
-            self._told, self._session.journal = True, None
+        """Report the end of the attempt to the session; once."""
+        if not self._ended:
+            self._ended, self._session.journal = True, None
             self._session.attempted(self)
 
     def hint(self) -> str:
@@ -115,7 +112,7 @@ class Pupil:
         if not self.over:
             self.journal.enter("lose", why)
             self.attempt.lose(why)
-            self._tell()
+            self.end()
 
 
 def begin(session: Session, axis: str, exercise: Exercise) -> None:

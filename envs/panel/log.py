@@ -2,7 +2,7 @@
 
 import csv
 import io
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 KEPT = 5000  # events
 KINDS = ("command", "done", "refused", "fault", "stop", "info", "alarm")
@@ -12,7 +12,7 @@ class Event(NamedTuple):
     """An event of the log."""
 
     number: int
-    kind: str  # of KINDS; info and alarm are shown in every window
+    kind: str  # one of KINDS; info and alarm are shown in every window
     text: str
     time: float  # s of the panel
     axis: str
@@ -28,16 +28,12 @@ class Log:
         self.events: list[Event] = []
         self._number = 0
 
-    def enter(
-        self, time: float, kind: str, text: str, axis: str = "", window: str = "", reason: str = "",
-        remedy: str = "",
-    ) -> None:
-        """Add an event. Raises ValueError for an unknown kind."""
+    def enter(self, kind: str, *fields: Any) -> None:
+        """Add an event with the fields of `Event` after its kind. Raises ValueError for a kind."""
         if kind not in KINDS:
             raise ValueError(f"kind {kind!r}: use one of {', '.join(KINDS)}")
         self._number += 1
-        event = Event(self._number, kind, text, time, axis, window, reason, remedy)
-        self.events = [*self.events[1 - KEPT :], event]
+        self.events = [*self.events[1 - KEPT :], Event(self._number, kind, *fields)]
 
     def csv(self) -> str:
         """All events as a table."""

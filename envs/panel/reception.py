@@ -1,7 +1,7 @@
 """Reception: the page on which a pupil enters the class code and a name.
 
-It is plain HTML, for whoever has no token gets nothing else of the panel. Wrong codes take a second
-each and wait for one another, so that nobody gets through by trying.
+It is plain HTML, because a browser without a token gets nothing else of the panel. The answer to a
+wrong code takes a second, and such answers wait for one another, so that codes cannot be guessed.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ from urllib.parse import parse_qs
 from .classroom import LONGEST, Classroom, Place
 from .guard import JOIN, Receive, Scope, Send, answer
 
-AT_ONCE, WAITING = 4, 200  # codes that are looked at together, and that may wait
+AT_ONCE, WAITING = 4, 200  # codes that are checked at the same time, and that may wait
 PENALTY = 1.0  # s
 MOST = 2000  # bytes of a form
 PAGE = """<!doctype html>
@@ -64,7 +64,7 @@ class Reception:
         self._waiting = 0
 
     def person(self, token: str) -> "Place | Reception | None":
-        """The place of a pupil, or the reception itself for the teacher."""
+        """Return the place of a pupil, or the reception itself for the teacher."""
         known = self.room.person(token)
         teaches = hmac.compare_digest(self.teacher.encode(), token.encode())
         return self if teaches else known
@@ -72,7 +72,7 @@ class Reception:
     async def answer(
         self, scope: Scope, receive: Receive, send: Send, cookie: Callable[[str], bytes]
     ) -> bool:
-        """Serve the form and handle its answer; nothing else."""
+        """Serve the form and handle its submission."""
         prefix = _prefix(scope)
         if scope["method"] == "GET" and not scope["path"].startswith("/_nicegui"):
             await answer(send, 200, _page(prefix), kind="text/html")

@@ -1,7 +1,7 @@
-"""The scope's memory: every sample of some channels, and a trigger that evaluates each.
+"""The memory of the scope: every sample of some channels, and a trigger that evaluates each one.
 
-The ring holds the last samples at the full rate. A page gets a window of them, at most so many
-points: of each stretch the smallest and the largest value, so that no peak is lost.
+The ring buffer holds the last samples at the full rate. A page gets a window of them with a limited
+number of points: the smallest and the largest value of each stretch, so that no peak is lost.
 """
 
 import csv
@@ -41,11 +41,11 @@ class Recorder:
     """Samples channels.
 
     Args:
-        reader: gives what reads a channel. Raises ValueError for an unknown one.
-        unit_of: the unit of a channel.
-        period: between two samples (s).
-        channels: names; 1..8.
-        depth: samples that are kept.
+        reader: returns the function that reads a channel. Raises ValueError for an unknown one.
+        unit_of: returns the unit of a channel.
+        period: time between two samples (s).
+        channels: names of 1..8 channels.
+        depth: number of samples that are kept.
 
     Raises:
         ValueError: an unknown channel, none, or too many.
@@ -58,7 +58,7 @@ class Recorder:
         self._reader, self._unit_of, self.period, self.depth = reader, unit_of, period, depth
         self.run = Run.ROLL
         self.trigger: Trigger | None = None
-        self.span, self.before = 2.0, 0.25  # s; share of it ahead of the event
+        self.span, self.before = 2.0, 0.25  # s; the share of it before the event
         self.frozen = False
         self.choose(channels)
 
@@ -70,7 +70,7 @@ class Recorder:
         self._readers = [self._reader(name) for name in names]
         self.channels = names
         self.units = {name: self._unit_of(name) for name in names}
-        # filled, so that the memory is there from now on and does not grow for minutes
+        # filled, so that all of the memory is allocated now and does not grow for minutes
         self._ring = np.full((len(names), self.depth), np.nan)
         self._times = np.full(self.depth, np.nan)
         self.clear()
@@ -104,9 +104,9 @@ class Recorder:
         self.arm()
 
     def set_window(self, span: float, before: float) -> None:
-        """Length of a picture (s), and the share of it ahead of the trigger event.
+        """Set the length of a picture (s) and the share of it before the trigger event.
 
-        Raises ValueError: longer than the memory, shorter than ten samples, no share.
+        Raises ValueError: longer than the memory, shorter than ten samples, or no valid share.
         """
         longest = self.depth * self.period
         if not 10 * self.period <= span <= longest:
@@ -205,9 +205,7 @@ class Recorder:
         self, times: np.ndarray, values: np.ndarray, zero: float, begin: int, end: int, points: int
     ) -> Window:
         stretch = -(-self._samples // max(points // 2, 1))
-        if (
-            stretch > 2
-        ):  # stretches count from the first sample of all, so that pictures stand still
+        if stretch > 2:  # stretches count from the very first sample, so that pictures stand still
             cut = -begin % stretch
             usable = (values.shape[1] - cut) // stretch * stretch
             if usable:
@@ -221,10 +219,10 @@ class Recorder:
 
     def set_up(self) -> dict[str, Any]:
         """Channels, trigger and window, as `use` takes them."""
-        trigger = None
-        if self.trigger:
-            known = self.trigger
-            trigger = {"channel": known.channel, "edge": int(known.edge), "level": known.level}
+        event = self.trigger
+        trigger = event and {
+            "channel": event.channel, "edge": int(event.edge), "level": event.level
+        }
         return {"channels": list(self.channels), "run": int(self.run), "span": self.span,
                 "before": self.before, "trigger": trigger}
 
@@ -233,12 +231,11 @@ class Recorder:
         before = self.set_up()
         try:
             self._use(set_up)
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             self._use(before)
+            if isinstance(error, ValueError):
+                raise
             raise ValueError(f"this is not a set-up of the scope: {error!r}") from None
-        except ValueError:
-            self._use(before)
-            raise
 
     def _use(self, set_up: Mapping[str, Any]) -> None:
         if unknown := {*set_up} - SET_UP:
@@ -253,7 +250,7 @@ class Recorder:
         """All samples of the picture as a table.
 
         Args:
-            shown: by channel, what its values are multiplied by and the unit then.
+            shown: by channel, a factor for its values and the resulting unit.
         """
         times, values = self._latest() if self._captured is None else self._captured
         text = io.StringIO()

@@ -18,7 +18,7 @@ from .guard import PERSON, Door, Guard, Owner, is_loopback
 from .reception import Reception
 
 PORT = 8402
-# what NiceGUI and Starlette log where a browser went away before its answer was ready
+# what NiceGUI and Starlette log if a browser has left before its answer was ready
 GONE = ("has been deleted", "No response returned")
 
 
@@ -38,7 +38,7 @@ def free(host: str, port: int) -> None:
 def kept_token() -> str:
     """Return this user's permanent token, with which a page reconnects to a restarted server.
 
-    It lies in a file that nobody else may read; where none can be, it is a new one.
+    It is kept in a file that nobody else may read; if that is impossible, the token is a new one.
     """
     path = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config", "servogym/token")
     token = secrets.token_urlsafe(16)
@@ -68,52 +68,48 @@ def serve(
         session: runs in real time from now on.
         host: address to listen on.
         port: TCP port.
-        browser: whether to open one.
-        pictures: a second, at most; a browser that is slower gets fewer.
-        tell: is told where the page is, with the token that a browser needs.
-        token: that a browser needs; this user's own if none is given.
+        browser: whether to open a browser.
+        pictures: maximum number of pictures per second; a slower browser gets fewer.
+        tell: receives the lines that say where the page is, with the token that a browser needs.
+        token: the token that a browser needs; this user's own by default.
 
     Raises:
-        ValueError: the port cannot be had.
+        ValueError: the port is not available.
         ImportError: nicegui is missing.
     """
-    build = _pages().build
-    token = token or kept_token()
-    clock = Clock(session)
+    pages, token, clock = _pages(), token or kept_token(), Clock(session)
 
     async def root() -> None:
-        await build(clock, pictures)
+        await pages.build(clock, pictures)
 
     lines = [f"panel of {session.title} on {address(host, port)}?token={token}"]
     if not is_loopback(host):
         lines.append(
-            f"open to whoever reaches {host} and knows the token: they command the machine, "
+            f"open to everybody who reaches {host} and knows the token: they command the machine, "
             "read and write its parameters; nothing is encrypted"
         )
-    _run(root, Owner(token), lines, tell, clock.stop, begin=clock.start, host=host, port=port,
-         title=f"servogym panel · {session.title}", browser=browser, token=token)
+    _run(root, Owner(token), lines, tell, clock.start, clock.stop, host=host, port=port,
+         title=f"servogym panel · {session.title}", show=f"/?token={token}" if browser else False)
 
 
 def serve_class(
     room: Classroom, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     tell: Callable[[str], object] = print, token: str = "",
 ) -> None:
-    """Serve a classroom until the process is told to end; as `serve`.
+    """Serve a classroom until the process is told to end.
 
     Args:
         room: the classroom.
         host: address to listen on.
         port: TCP port.
-        browser: whether to open one, on the teacher's wall.
-        tell: is told the addresses and the code of the class.
-        token: of the teacher; this user's own if none is given.
+        browser: whether to open a browser with the teacher's wall.
+        tell: receives the lines with the addresses and the code of the class.
+        token: the teacher's token; this user's own by default.
 
     Raises as `serve` does.
     """
-    pages = _pages()
-    token = token or kept_token()
+    pages, token, where = _pages(), token or kept_token(), address(host, port)
     door = Reception(room, token)
-    where = address(host, port)
 
     async def root() -> None:
         await pages.show_class(room, door, where)
@@ -122,20 +118,21 @@ def serve_class(
         f"the teacher's wall: {where}?token={token}",
         f"pupils open {where} and give the code {room.word} and a name",
         "only this computer reaches it; for pupils on others: --host 0.0.0.0" if is_loopback(host)
-        else f"open to whoever reaches {host}; nothing is encrypted, see docs/how-to/class.md",
+        else f"open to everybody who reaches {host}; nothing is encrypted, see "
+        "docs/how-to/class.md",
     ]
-    _run(root, door, lines, tell, room.end, host=host, port=port,
-         title="servogym classroom", browser=browser, token=token)
+    _run(root, door, lines, tell, lambda: None, room.end, host=host, port=port,
+         title="servogym classroom", show=f"/?token={token}" if browser else False)
 
 
 def concerns_somebody(record: logging.LogRecord) -> bool:
-    """Whether a log record is more than what comes of a page that is no longer open."""
+    """Whether a log record is more than the consequence of a page that has been closed."""
     said = str(record.exc_info[1]) if record.exc_info else record.getMessage()
     return not any(words in said for words in GONE)
 
 
 def owner(page: str) -> Any:
-    """Whose a page is, by its id; None if there is no such page."""
+    """The person to whom a page belongs, by its id; None if there is no such page."""
     from nicegui import Client
 
     client = Client.instances.get(page)
@@ -143,16 +140,16 @@ def owner(page: str) -> Any:
 
 
 def speak_for_own_pages() -> None:
-    """Let a web socket send only what is well formed and for a page of its own person.
+    """Drop messages of a web socket that are malformed or meant for another person's page.
 
-    NiceGUI takes the id of a page in a message for proof enough.
+    NiceGUI itself accepts every message that contains the id of a page.
     """
     from nicegui.nicegui import sio
 
     def checked(kind: str, handle: Callable[..., Any]) -> Callable[..., Any]:
         async def receive(socket: str, *sent: Any) -> Any:
             if (line := sio.get_environ(socket)) is None:
-                return False  # cut meanwhile
+                return False  # the line was cut meanwhile
             person = line["asgi.scope"].get(PERSON)
             message = sent[0] if sent and isinstance(sent[0], dict) else {}
             page = message.get("client_id", "")
@@ -193,14 +190,13 @@ def _pages() -> Any:
 
 def _run(
     root: Callable[[], Any], door: Door, lines: list[str], tell: Callable[[str], object],
-    end: Callable[[], None], *, host: str, port: int, title: str, browser: bool, token: str,
-    begin: Callable[[], None] = lambda: None,
+    begin: Callable[[], None], end: Callable[[], None], *, host: str, port: int, **options: Any,
 ) -> None:
     from nicegui import app, ui
     from nicegui.server import Server
 
     async def listening() -> None:
-        """Say where the page is once the port is open; uvicorn has no event for that."""
+        """Print the address once the port is open; uvicorn has no event for that."""
         while not Server.instance.started:
             await asyncio.sleep(0.01)
         for line in lines:
@@ -215,7 +211,7 @@ def _run(
     app.add_middleware(Guard, door=door, name=f"servogym_panel_{port}", owner=owner)
     speak_for_own_pages()
     ui.run(
-        root, host=host, port=port, title=title, show=f"/?token={token}" if browser else False,
-        reload=False, tailwind=False, show_welcome_message=False, dark=False, favicon="⚙️",
-        reconnect_timeout=10.0, uvicorn_logging_level="error", ws_per_message_deflate=False,
+        root, host=host, port=port, **options, reload=False, tailwind=False, dark=False,
+        show_welcome_message=False, favicon="⚙️", reconnect_timeout=10.0,
+        uvicorn_logging_level="error", ws_per_message_deflate=False,
     )

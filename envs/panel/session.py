@@ -30,7 +30,7 @@ FIELDS = tuple(
 class Laboratory(Protocol):
     """The interface to policies; `training` implements it."""
 
-    shipped_only: bool  # whether only what is offered may be named
+    shipped_only: bool  # whether only the offered policies may be named
 
     def fitting(self, axis: str) -> Any:
         """The policies offered for an axis: ``what``, ``names``, ``goal``, ``shown``."""
@@ -46,21 +46,21 @@ class Laboratory(Protocol):
 
 
 class Session(Bench):
-    """A machine, its masters, a scope, and who commands it.
+    """A machine with its masters, a scope and a commander.
 
     Args:
-        machine: to be driven, with one drive or several.
-        title: what people call it.
-        cycles: position cycles an exchange with the masters, the scope and the judge, as a field
-            bus has several; set-points that are streamed, and a policy, get each cycle.
+        machine: machine with one drive or several.
+        title: title of the page.
+        cycles: position cycles per exchange with the masters, the scope and the judge, as on a
+            field bus. Streamed set-points and a policy act in each cycle.
     """
 
     machine: Machine
 
     def __init__(self, machine: Machine, title: str = "", cycles: int = 1):
         self.machine, self.cycles = machine, cycles
-        self.journal: Journal | None = None  # of the exercise that is being done
-        self.attempted: Callable[[Any], object] = lambda pupil: None  # a `lessons.Pupil` is over
+        self.journal: Journal | None = None  # of the present exercise
+        self.attempted: Callable[[Any], object] = lambda pupil: None  # at the end of an exercise
         self._port = _Port(machine, self)
         self._cycle = self._sampled = self._watched = 0
         super().__init__(self._port, title or type(machine).__name__)
@@ -69,7 +69,7 @@ class Session(Bench):
             self.sampling = (
                 f"One sample in {cycles} position cycles, {{rate}} in a second of machine time."
             )
-        self.fresh = machine.snapshot()  # what an exercise begins with
+        self.fresh = machine.snapshot()  # the state in which an exercise begins
 
     def exchange(self) -> None:
         """Advance by position cycles, with pacing, recording and supervision."""
@@ -107,8 +107,8 @@ class Session(Bench):
         """Act on the machine from outside; every page, master and experiment uses this.
 
         Args:
-            what: of `journal.ACTS`.
-            arguments: of it. Raises what it raises.
+            what: key of `journal.ACTS`.
+            arguments: arguments of the action, which may raise its own errors.
         """
         if self.journal is not None:
             self.journal.enter(what, *arguments)
@@ -118,7 +118,7 @@ class Session(Bench):
         return done
 
     def examined(self) -> str:
-        """The reason why disturbances cannot be changed: they belong to an exercise."""
+        """The reason why disturbances cannot be changed: an exercise is under way."""
         if self.pupil is None or self.pupil.over:
             return ""
         return "an exercise is under way, and this belongs to it: finish or leave it first"
@@ -272,19 +272,19 @@ class Session(Bench):
         positions = {}
         for name, coupling in zip(self.axes, self.machine.couplings, strict=True):
             positions[name] = float(self.machine.data.qpos[coupling.qpos])
-        with suppress(ValueError):  # an axis pressed into its end stop begins where the model says
+        with suppress(ValueError):  # an axis pressed into its end stop begins as in the model
             self.machine.reset(positions=positions)
             return
         self.machine.reset()
 
     def _lose(self, what: str) -> None:
         if self.pupil is not None:
-            self.pupil.lose(f"The machine is {what}: what had happened is lost.")
+            self.pupil.lose(f"The machine is {what}: the exercise has lost its state.")
 
     def hand_over(self, agent: Agent) -> None:
         """Let an agent command from now on.
 
-        Raises Refused while another one does, or somebody is doing an exercise.
+        Raises Refused while another agent commands or an exercise is under way.
         """
         if why := self.examined():
             raise Refused("hand over", why)

@@ -5,11 +5,14 @@ from typing import Any
 
 from ...drive.diagrams import Mode, State
 from ...drive.master import Refused
-from .generator import KINDS, WAVES, AxisLimits, Wave, travel
+from .generator import KINDS, AxisLimits, Wave, travel
 
 
 class SetPoints:
-    """Hands set-points to the drives of a `bench.Bench`, within their limits."""
+    """Hands set-points to the drives of a `bench.Bench`, within their limits.
+
+    Sizes are in m or rad for a position, m/s or rad/s for a velocity, and % of the rated torque.
+    """
 
     def __init__(self, bench: Any):
         self.bench = bench
@@ -22,22 +25,18 @@ class SetPoints:
         return AxisLimits(speed, rate)
 
     def set(self, axis: str, kind: str, value: float) -> str:
-        """Send a set-point of a kind (`generator.KINDS`); -> the reason of a refusal.
+        """Send a set-point; -> the reason of a refusal.
 
         Args:
-            axis: that follows it.
-            kind: position (m or rad), velocity (m/s or rad/s), torque (% of the rated torque).
-            value: at last; a position is approached with 6081h and 6083h.
+            axis: the axis that follows it.
+            kind: key of `generator.KINDS`.
+            value: final value; a position is approached with 6081h and 6083h.
         """
-        name, scale = self.bench.unit(axis)
-        said = {"position": f"{value * scale:g} {name}", "velocity": f"{value * scale:g} {name}/s",
-                "torque": f"{value:g} %"}[kind]
-        what = f"{axis}: {kind} set-point {said}"
 
         def motion() -> None:
             master = self.bench.masters[axis]
+            raw = self._raw(axis, kind, value)
             if kind != "position":
-                raw = self._raw(axis, kind, value)
                 master.follow(self._mode_of(axis, kind))
                 master.write(KINDS[kind].name, raw)
                 return
@@ -46,20 +45,21 @@ class SetPoints:
             wave, total = travel(value - begin, self._streamed(axis))
             self._stream(axis, kind, lambda time: begin + wave(time), total)
 
+        what = f"{axis}: {kind} set-point {self._shown(axis, kind, value)}"
         return self.bench.run(what, motion, axis, goes_on=kind != "position" and value != 0.0)
 
     def generate(
         self, axis: str, kind: str, shape: str, size: float, frequency: float, time: float
     ) -> str:
-        """Let set-points follow a wave for `time` (s), then stop; -> the reason of a refusal.
+        """Let set-points follow a wave for some time, then stop; -> the reason of a refusal.
 
         Args:
-            axis: that follows it.
-            kind: as `set_point` has it; a position counts from the present one.
-            shape: of `generator.KINDS`.
-            size: of the wave: the way of a position, the peak of a velocity or torque.
+            axis: the axis that follows it.
+            kind: key of `generator.KINDS`.
+            shape: one of the shapes of this kind.
+            size: travel of a position, counted from the present one; else the peak.
             frequency: (Hz)
-            time: how long (s).
+            time: duration (s).
         """
 
         def motion() -> None:
@@ -69,12 +69,23 @@ class SetPoints:
             if kind == "position":
                 self._inside(axis, begin + size)
             self._raw(axis, kind, size)
-            wave = WAVES[kind](shape, size, frequency, self._streamed(axis))
+            wave = KINDS[kind].wave(shape, size, frequency, self._streamed(axis))
             whole = math.ceil(time * frequency - 1e-9) / frequency  # it ends where it has begun
             self._stream(axis, kind, lambda now: begin + wave(now), whole)
             self.bench.masters[axis].stop()
 
         return self.bench.run(f"{axis}: {kind} {shape}, {frequency:g} Hz", motion, axis)
+
+    def _unit(self, axis: str, kind: str) -> float:
+        """The size of a drive unit."""
+        units = self.bench.units(axis)
+        return {"position": units.position, "velocity": units.velocity, "torque": 0.1}[kind]
+
+    def _shown(self, axis: str, kind: str, value: float) -> str:
+        name, scale = self.bench.unit(axis)
+        number, unit = {"position": (value * scale, name), "velocity": (value * scale, f"{name}/s"),
+                        "torque": (value, "%")}[kind]
+        return f"{number:g} {unit}"
 
     def _streamed(self, axis: str) -> AxisLimits:
         """The limits of a streamed set-point. Raises Refused if it cannot be streamed."""
@@ -87,59 +98,46 @@ class SetPoints:
         return most
 
     def _mode_of(self, axis: str, kind: str) -> Mode:
-        modes = self.bench.model(axis).modes
-        found = next((mode for mode in KINDS[kind].modes if mode in modes), None)
-        if found is None:
-            raise Refused(
-                f"{kind} set-points", f"drive {self.bench.model(axis).name} has no mode for them"
-            )
-        return found
+        model = self.bench.model(axis)
+        mode = next((mode for mode in KINDS[kind].modes if mode in model.modes), None)
+        if mode is None:
+            raise Refused(f"{kind} set-points", f"drive {model.name} has no mode for them")
+        return mode
 
     def _raw(self, axis: str, kind: str, value: float) -> int:
-        """Convert a set-point to drive units. Raises Refused beyond the limits of the drive."""
-        units = self.bench.units(axis)
-        if kind == "torque":
-            most = self.bench.value(axis, "max_torque")
-            if most is not None and abs(value) * 10 > most:
-                raise Refused("torque", f"{value:g} % is more than 6072h allows, {most / 10:g} %",
-                              "choose less, or raise 6072h")
-            return round(value * 10)
-        if kind == "velocity":
-            fastest = self.most(axis).velocity
-            if fastest and abs(value) > fastest * (1 + 1e-9):
-                _, scale = self.bench.unit(axis)
-                allowed = f"{fastest * scale:g}"
-                raise Refused(
-                    "velocity", f"{value * scale:g} is more than 6081h allows, {allowed}",
-                    "choose less, or raise 6081h",
-                )
-            return round(value / units.velocity)
-        return round(value / units.position)
+        """Convert a set-point to drive units. Raises Refused beyond 6072h or 6081h."""
+        limit, name = None, ""
+        if kind == "torque" and (torque := self.bench.value(axis, "max_torque")) is not None:
+            limit, name = torque * self._unit(axis, kind), "6072h"
+        elif kind == "velocity":
+            limit, name = self.most(axis).velocity or None, "6081h"
+        if limit is not None and abs(value) > limit * (1 + 1e-9):
+            given, allowed = (self._shown(axis, kind, each) for each in (value, limit))
+            raise Refused(kind, f"{given} is more than {name} allows, {allowed}",
+                          f"choose less, or raise {name}")
+        return round(value / self._unit(axis, kind))
 
     def _inside(self, axis: str, target: float) -> None:
-        """Refuse a position beyond the software limits 607Dh."""
+        """Raise Refused for a position beyond the software limits 607Dh."""
         low, high = (self.bench.value(axis, f"{end}_position_limit") for end in ("min", "max"))
-        raw = target / self.bench.units(axis).position
-        if low is not None and high is not None and low < high and not low <= raw <= high:
-            name, scale = self.bench.unit(axis)
-            scale *= self.bench.units(axis).position
-            stroke = f"{low * scale:g}..{high * scale:g} {name}"
-            raise Refused("position", f"{raw * scale:g} {name} is beyond the stroke {stroke}",
-                          "choose a target inside")
+        unit = self._unit(axis, "position")
+        if low is None or high is None or not low < high or low <= round(target / unit) <= high:
+            return
+        shown = [self._shown(axis, "position", each) for each in (target, low * unit, high * unit)]
+        raise Refused("position", f"{shown[0]} is beyond the stroke {shown[1]}..{shown[2]}",
+                      "choose a target inside")
 
     def _stream(self, axis: str, kind: str, wave: Wave, time: float) -> None:
         """Follow a wave with a set-point in each exchange."""
-        master, name = self.bench.masters[axis], KINDS[kind].name
+        master, name, unit = self.bench.masters[axis], KINDS[kind].name, self._unit(axis, kind)
         master.follow(self._mode_of(axis, kind))
-        units = self.bench.units(axis)
-        unit = {"position": units.position, "velocity": units.velocity, "torque": 0.1}[kind]
         begin = master.port.now()
         self.bench.streams = kind == "position"
         try:
             while (now := master.port.now() - begin) < time:
                 master.write(name, round(wave(now) / unit))
                 if master.state is not State.OPERATION_ENABLED:
-                    master.follow(self._mode_of(axis, kind))  # says why
+                    master.follow(self._mode_of(axis, kind))  # raises the reason
         finally:
             self.bench.streams = False
         if kind == "position":

@@ -1,8 +1,8 @@
-"""A twin beside a drive of a bench: it is told what the drive is told, and the scope shows both.
+"""A twin beside a drive of a bench: it gets the same commands, and the scope shows both.
 
-What differs is the point: what the model does not have, and what has changed in the machine since.
-So faults that are injected, and what ails the machine, stay with the machine. The drive moves the
-axis by what it measures; a position that has drifted apart has a cause, too.
+A difference between them is what the model lacks, or what has changed in the machine since. For
+this reason injected faults and disturbances act on the machine only. The twin is not corrected
+while it runs: a position that has drifted apart has a cause, too.
 """
 
 import math
@@ -17,11 +17,11 @@ from ...drive.trace import reader
 from ..engine.machine import Machine
 from ..masters.port import MachinePort
 
-TWIN = "twin"  # ahead of its channels
-# m or rad within s: the axis stands; the joint is known in each cycle, a bus tells now and then
+TWIN = "twin"  # prefix of its channels
+# the axis stands if it moves less than m or rad within s; a bus reports its position less often
 STILL = {"joint": (1e-5, 0.02), "bus": (1e-4, 0.3)}
-MOST = 1.0  # s that the twin makes up for
-COMMANDS = (  # what a policy hands over by PDO
+MOST = 1.0  # s of delay that the twin makes up for
+COMMANDS = (  # objects that a policy writes by PDO
     "modes_of_operation", "target_position", "target_velocity", "target_torque", "position_offset",
     "velocity_offset", "torque_offset", "controlword",
 )
@@ -30,7 +30,7 @@ COMMANDS = (  # what a policy hands over by PDO
 class ParallelTwin:
     """A twin that receives the same commands as an axis.
 
-    It is first brought to the position, mode and state of the axis, and again whenever the axis has
+    It is first placed in the position, mode and state of the axis, and again whenever the axis has
     been referenced or the machine was moved in another way.
 
     Args:
@@ -49,16 +49,16 @@ class ParallelTwin:
         self.name = drive or next(iter(machine.drives))
         self.bench, self.machine, self.axis = bench, machine, axis
         self.drive, self._port = machine.drives[self.name], MachinePort(machine)
-        self._factors: dict[str, float] = {}  # by quantity: units of the axis in one of the twin
+        self._factors: dict[str, float] = {}  # by quantity: unit of the twin in units of the axis
         ours, theirs = self._port.units(self.name).name, bench.units(axis).name
         if bench.unit(axis)[0] != "units" and ours != theirs:
             raise ValueError(f"the twin's joint is in {ours}, axis {axis} in {theirs}")
-        self.due = True  # to stand where the axis stands
+        self.due = True  # it waits to be placed where the axis stands
         self._time: float = bench.time
         self._told: dict[str, float] = {}
         self._refused: set[str] = set()
-        self._parameters: dict[str, float | None] = {}  # of the axis's drive, as it had them
-        self._mark = -math.inf, math.nan  # s, and where the axis was then
+        self._parameters: dict[str, float | None] = {}  # last values of the axis's drive
+        self._mark = -math.inf, math.nan  # time (s), and the position then
         self._attained, self._fault = True, 0
 
     def align(self) -> None:
@@ -75,9 +75,9 @@ class ParallelTwin:
     # -------------------------------------------------------------------- commands
 
     def repeat(self, *arguments: Any) -> None:
-        """The drive has taken this value of an object, name or index and value."""
+        """Repeat a write that the drive has accepted: name or index, and value."""
         if self.due:
-            return  # it gets all at once
+            return  # everything is taken over when it is placed
         *where, value = arguments
         try:
             row = self._row(*where)
@@ -87,12 +87,12 @@ class ParallelTwin:
             self.drive.write(*where, value)
         except (SdoAbort, KeyError, TypeError, ValueError) as error:
             name = where[0] if isinstance(where[0], str) else f"{where[0]:04X}h"
-            if name not in self._refused:  # once is enough
+            if name not in self._refused:  # it is reported once
                 self._refused.add(name)
                 self.bench.tell("info", f"twin: {name}: {error}", self.axis)
 
     def act(self, what: str, *arguments: Any) -> None:
-        """The machine was acted on, as `journal.ACTS` has it."""
+        """Repeat an action on the machine, one of `journal.ACTS`."""
         if what == "write":
             self.repeat(*arguments)
         elif what == "commission" and not self.due:
@@ -102,7 +102,7 @@ class ParallelTwin:
                 self.bench.tell("info", f"twin: gains: {error}", self.axis)
 
     def watch_commands(self) -> None:
-        """Take over what a policy has handed to the drive by PDO."""
+        """Repeat the commands that a policy has sent to the drive by PDO."""
         for name in COMMANDS:
             value = self._of(name)
             if value is not None and value != self._told.get(name):
@@ -110,7 +110,7 @@ class ParallelTwin:
                 self.repeat(name, value)
 
     def watch_parameters(self) -> None:
-        """Take over what a policy has changed in the drive for itself, or put back."""
+        """Repeat the changes of parameters that a policy has made or undone."""
         for name, before in self._parameters.items():
             value = self._parameters[name] = self._of(name)
             if value is not None and value != before:
@@ -122,13 +122,13 @@ class ParallelTwin:
         return slot.row
 
     def _factor(self, row: Object) -> float:
-        """How many units of the axis's drive one of the twin's is."""
+        """A unit of the twin's drive in units of the axis's drive."""
         return self._factors.get(quantity(row.unit), 1.0)
 
     def _compare_units(self) -> None:
-        """Factors may be written at any time; what the twin reads and gets is compared here."""
+        """Compare the units of both drives, whose factors may be written at any time."""
         ours, theirs = self._port.units(self.name), self.bench.units(self.axis)
-        known = self.bench.unit(self.axis)[0] != "units"  # else they are taken for the same
+        known = self.bench.unit(self.axis)[0] != "units"  # otherwise they count as equal
         rate = self.bench.acceleration(self.axis)
         own = float(self.drive.axis.rad_s2_per_acceleration_unit)
         self._size = theirs.position if known else ours.position
@@ -141,7 +141,7 @@ class ParallelTwin:
     # ------------------------------------------------------------------ time passes
 
     def follow(self) -> None:
-        """Let the time of the bench pass."""
+        """Let as much time pass as on the bench."""
         self._watch_reference()
         if self.due:
             self._stand()
@@ -163,7 +163,7 @@ class ParallelTwin:
         return self.bench.value(self.axis, name)
 
     def _watch_reference(self) -> None:
-        """Where the axis has its zero is known when its homing has been attained."""
+        """Place the twin again once homing has been attained, which moves the axis's zero."""
         if self._of("modes_of_operation_display") != Mode.HOMING:
             self._attained = True
             return
@@ -173,11 +173,11 @@ class ParallelTwin:
         self._attained = attained
 
     def _stand(self) -> None:
-        """Stand where the axis stands, as soon as it does."""
+        """Place the twin where the axis stands, as soon as it does."""
         position, mode = self._of("position_actual_value"), self._of("modes_of_operation_display")
         if position is None or mode is None or self._of("statusword") is None:
-            return  # nothing is known of it yet
-        self.machine.step()  # so that its factors are
+            return  # nothing is known of the axis yet
+        self.machine.step()  # so that its factors are known
         self._compare_units()
         if not self._stands(position):
             return
@@ -216,7 +216,7 @@ class ParallelTwin:
         return False
 
     def _place(self, position: float) -> None:
-        """Put the joint there and count as the axis's drive does (m or rad)."""
+        """Place the joint (m or rad), with the same zero as that of the axis's drive."""
         joint = self.bench.joint_position(self.axis)
         low, high = self.machine.range(self.name)
         self.machine.reset(
@@ -233,12 +233,12 @@ class ParallelTwin:
     # -------------------------------------------------------------------- channels
 
     def channels(self) -> list[str]:
-        """What the scope can show of it, in units of the axis's own drive."""
+        """Channels that the scope can show, in units of the axis's own drive."""
         rows = (slot.row for slot in self.drive.objects.slots.values())
         return sorted(f"{TWIN}:{row.name}" for row in rows if row.pdo and row.format)
 
     def reader(self, name: str) -> Callable[[], float]:
-        """What gives the value of an object. Raises ValueError for an unknown one."""
+        """Return a reader for the value of an object. Raises ValueError for an unknown one."""
         if name not in self.drive.objects.names:
             raise ValueError(f"the twin has no object {name!r}")
         read = reader(self.drive, name)

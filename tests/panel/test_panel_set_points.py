@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from servogym.drive.kernel.words import Mode, State
 from servogym.envs.panel.comparison import compare, of_file, write_back
-from servogym.envs.panel.generator import KINDS, WAVES, AxisLimits, travel
+from servogym.envs.panel.generator import KINDS, AxisLimits, travel
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.linear_axis import linear_axis
 
@@ -48,11 +48,11 @@ def test_a_wave_is_within_the_limits_or_refused(which, size, speed, rate):
     frequency = 1 / (2 * travel(1.01 * size, most)[1]) if kind == "position" else rate / 7 / size
     if kind == "velocity" and size > speed:
         with pytest.raises(ValueError, match="choose less"):
-            WAVES[kind](shape, size, frequency, most)
+            KINDS[kind].wave(shape, size, frequency, most)
         return
     if shape == "sine" and kind == "position":
         frequency /= 2
-    wave = WAVES[kind](shape, size, frequency, most)
+    wave = KINDS[kind].wave(shape, size, frequency, most)
     times = np.linspace(0, 2 / frequency, 4001)
     at = np.array([wave(time) for time in times])
     assert np.abs(at).max() <= size * (1 + 1e-9)

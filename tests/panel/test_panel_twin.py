@@ -235,7 +235,7 @@ def folder(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [("--twin {}/none", "no such file"), ("--axis gantry-x1x2 --twin {}", "of an axis 'x'"),
+    [("--twin {}/none", "no such file"), ("--axis gantry-x1x2 --twin {}", "of axis 'x'"),
      ("--axis rotary-table --twin {}", "in m, axis x in rad")],
 )
 def test_a_twin_that_does_not_fit_is_refused(options, said, folder, refused):

@@ -11,7 +11,7 @@ from PIL import Image
 
 from servogym.envs.view import picture
 from servogym.training import cli, watch
-from servogym.training.pictures.video import Gif, Recording
+from servogym.training.pictures.video import Gif, recording
 from servogym.training.policies import make
 
 STEERING = "def steer(seen):\n    return (4 * seen[:1]).clip(-0.4, 0.4)\n\nnumber = 3\n"
@@ -81,15 +81,15 @@ def test_a_folder_gets_the_images_of_all_episodes(pictures, tmp_path, speed, cou
 
 def test_an_mp4_has_the_images_and_the_speed(tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="no encoder: servogym[video]")
-    recording = Recording(tmp_path / "run.mp4", 25.0)
+    writer = recording(tmp_path / "run.mp4", 25.0)
     for shade in range(0, 250, 10):
-        recording.add(np.full((54, 96, 3), shade, np.uint8))
-    recording.close()
+        writer.add(np.full((54, 96, 3), shade, np.uint8))
+    writer.close()
     reader = ffmpeg.read_frames(str(tmp_path / "run.mp4"))
     about = next(reader)
     reader.close()  # before its end: it leaves the pipes of a process that has ended open
     assert (about["fps"], about["size"]) == (25.0, (96, 54))
-    assert ffmpeg.count_frames_and_secs(str(tmp_path / "run.mp4")) == (recording.frames, 1.0)
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "run.mp4")) == (25, 1.0)
 
 
 def test_a_policy_from_a_file_reaches_the_goal(pictures, steering, tmp_path, capsys):

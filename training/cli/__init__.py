@@ -27,11 +27,11 @@ class Command:
     """A row of the command table.
 
     Args:
-        module: of this package, imported only when its command is asked for. It has a function
-            ``add_NAME`` or ``add`` that declares the options of the command.
-        purpose: what the command does, one line; the list of commands shows it.
-        example: a command line that works as printed, without the program's name.
-        more: what a reader of ``--help`` needs to know beyond the options.
+        module: module of this package, imported only when its command is used. Its function
+            ``add_NAME`` or ``add`` declares the options of the command.
+        purpose: purpose of the command in one line, shown in the list of commands.
+        example: command line that works as printed, without the program's name.
+        more: further text of ``--help``.
     """
 
     module: str
@@ -181,8 +181,8 @@ COMMANDS = {
     ),
 }
 FORMAT = warnings.formatwarning
-OF_LIBRARIES = (SystemError, ctypes.ArgumentError)  # what libraries in C make of Ctrl-C
-# threads of NumPy's linear algebra: our matrices are small, so they would only wait for one another
+OF_LIBRARIES = (SystemError, ctypes.ArgumentError)  # errors that Ctrl-C causes in C libraries
+# one thread for NumPy's linear algebra: with our small matrices, threads would only wait
 BLAS = "OPENBLAS_NUM_THREADS"
 
 
@@ -283,7 +283,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
     return options
 
 
-def _told(error: BaseException) -> str:
+def _line(error: BaseException) -> str:
     """Format an error of the user, their task or policy in a line; empty for an internal error."""
     from ...drive.objects.abort import SdoAbort
 
@@ -291,7 +291,7 @@ def _told(error: BaseException) -> str:
         from ...envs.engine.checks import error_line, place_of
 
         return error_line(error) if place_of(error) else ""
-    if isinstance(error, OSError) and error.strerror:  # what the system says, without its number
+    if isinstance(error, OSError) and error.strerror:  # the system's words, without the number
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())
 
@@ -307,9 +307,9 @@ def _warned(
 
 
 def _leave() -> None:
-    """Skip the garbage collection at exit, which takes 0.6 s; triton would print about its own.
+    """Skip the garbage collection at exit, which takes 0.6 s, unless triton needs it.
 
-    A further signal no longer finds a handler: Python has taken it away, and it would kill.
+    Further signals are ignored: Python has removed the handlers by now, so they would kill.
     """
     if "triton" not in sys.modules:
         gc.freeze()
@@ -347,7 +347,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
     os.environ.setdefault(BLAS, "1")
-    gc.set_threshold(50_000)  # or Python scans the loaded modules for garbage again and again
+    gc.set_threshold(50_000)  # by default Python scans the loaded modules again and again
     atexit.register(_leave)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -358,13 +358,13 @@ def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
         print("servogym: the working directory no longer exists", file=sys.stderr)
         return 2
     if here not in sys.path:
-        sys.path.append(here)  # modules with tasks of your own, as `python -m` finds them
+        sys.path.append(here)  # so that modules with tasks of your own are found, as by `python -m`
     try:
         options = _parsed(_joined(sys.argv[1:] if arguments is None else arguments))
-    except ImportError as error:  # a package is missing, or of a release that is refused
+    except ImportError as error:  # a package is missing, or its release is refused
         if interrupts:
             raise KeyboardInterrupt from error
-        print(f"servogym: {_told(error)}", file=sys.stderr)
+        print(f"servogym: {_line(error)}", file=sys.stderr)
         return 2
     console = Console()
     warnings.formatwarning = _warned
@@ -393,7 +393,7 @@ def _main(arguments: list[str] | None, interrupts: list[int]) -> int:
         loading = isinstance(error, (ImportError, *OF_LIBRARIES))
         if interrupted(error) or (loading and interrupts):
             raise KeyboardInterrupt from error
-        line = _told(error)
+        line = _line(error)
         if not line:
             raise
         print(f"servogym {options.command}: {line}", file=sys.stderr)

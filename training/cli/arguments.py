@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..setup import Setup
 
 POLICY = "name, FILE.py:function, folder of a training, or model.zip of stable-baselines3"
-LISTED = "help"  # instead of NAME=VALUE
+LISTED = "help"  # given instead of NAME=VALUE to list the names
 AXES = "linear, vertical, rotary-table, conveyor, gantry or gantry-x1x2"  # `catalogue.AXES`
 
 
@@ -217,6 +217,13 @@ def prepare(options: argparse.Namespace) -> None:
         played = {"env": options.env, "drive": options.drive}
         prepare([("servogym.training.evaluate.parts:once", played)])
     importlib.import_module("servogym.training.evaluate.compare")
+
+
+def refuse(options: argparse.Namespace, reason: str, *names: str) -> None:
+    """Raise ValueError if one of these options, which would have no effect, was given."""
+    for name in names:
+        if getattr(options, name, None) not in (None, False, []):
+            raise ValueError(f"--{name.replace('_', '-')} {reason}")
 
 
 def several(number: Number) -> Callable[[str], list[Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from . import arguments
-from .arguments import POLICY, POSITIVE, SIGNED_BYTE, Number, option, several
+from .arguments import POLICY, POSITIVE, SIGNED_BYTE, Number, option, refuse, several
 
 SUITE, LEARNED = "v2", "learned"
 OF_SUITES = ("suite", "entry", "tasks", "conditions")
@@ -57,32 +57,29 @@ def _benchmark(options: argparse.Namespace, console: Console) -> int:
         raise ValueError(f"{options.comparison[0]} is for `servogym benchmark headroom`")
     if options.what == "learned":
         return _learned(options, console)
-    if given := [name for name in OF_SUITES if getattr(options, name) is not None]:
-        raise ValueError(f"--{given[0]} is for `servogym benchmark learned`")
-    drive = options.drive or "generic"
+    refuse(options, "is for `servogym benchmark learned`", *OF_SUITES)
     chosen = _chosen(options)
     from ..evaluate import benchmark, homing, positioning
 
     kind = homing.HOMING if options.what == "homing" else positioning.POSITIONING
-    work = arguments.work(options)
-    return benchmark.run(kind, drive, options.quick, options.out, console, work, chosen)
+    return benchmark.run(
+        kind, options.drive or "generic", options.quick, options.out, console,
+        arguments.work(options), chosen,
+    )
 
 
 def _chosen(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options that the benchmark takes."""
-    positioning = options.what == "positioning"
-    foreign = ("method", "runs") if positioning else ("distance",)
-    if given := [name for name in foreign if getattr(options, name) is not None]:
-        other = "homing" if positioning else "positioning"
-        raise ValueError(f"--{given[0]} is for `servogym benchmark {other}`")
     payloads = options.payload or []
     chosen: dict[str, Any] = {
         "mechanics": arguments.listed(options.mechanics), "parameter_file": options.parameter_file,
     }
-    if positioning:
+    if options.what == "positioning":
+        refuse(options, "is for `servogym benchmark homing`", "method", "runs")
         chosen |= {"payloads": payloads, "distances": options.distance,
                    "strategies": arguments.listed(options.policy)}
     else:
+        refuse(options, "is for `servogym benchmark positioning`", "distance")
         if len(payloads) > 1:
             raise ValueError(f"--payload = {options.payload}: homing takes one payload")
         chosen |= {
@@ -96,20 +93,15 @@ def _chosen(options: argparse.Namespace) -> dict[str, Any]:
 def _headroom(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import headroom
 
-    for name in ("drive", "quick", "policy", *OF_SUITES, *OF_AXES):
-        if getattr(options, name):
-            raise ValueError(f"--{name.replace('_', '-')} is not for `servogym benchmark headroom`")
+    refuse(options, "is not for `servogym benchmark headroom`", "drive", "quick", "policy",
+           *OF_SUITES, *OF_AXES)
     return headroom.run(options.comparison, options.out, console, run_code=options.run_code)
 
 
 def _learned(options: argparse.Namespace, console: Console) -> int:
     from ..evaluate import leaderboard, suite
 
-    for name in ("drive", "quick", *OF_AXES):
-        if getattr(options, name):
-            raise ValueError(
-                f"--{name.replace('_', '-')} is not for suites, which say it themselves"
-            )
+    refuse(options, "is not for suites, which contain it", "drive", "quick", *OF_AXES)
     chosen = suite.read(options.suite or SUITE, run_code=options.run_code)
     policy = options.policy or LEARNED
     stem = Path(policy.partition(".py")[0]).name

@@ -3,6 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from . import arguments
+
 if TYPE_CHECKING:
     from ...envs.serve.description import BusRow
 
@@ -16,9 +18,7 @@ OPTIONS = (
 
 def refuse(options: argparse.Namespace, reason: str, *others: str) -> None:
     """Raise ValueError if an option for a bus, or one of the `others`, would have no effect."""
-    for name in (*OPTIONS, *others):
-        if getattr(options, name, None) not in (None, False):
-            raise ValueError(f"{option(name)} {reason}")
+    arguments.refuse(options, reason, *OPTIONS, *others)
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -100,9 +100,8 @@ def _bus(options: argparse.Namespace, tell: Callable[[str], None]):
     from ...drive.wire.bus import CanPort
     from ...envs.panel.bus import BusBench
 
-    for name in ("axis", "mjcf", "joint", "parameter_file", "lessons"):
-        if getattr(options, name):
-            raise ValueError(f"--{name.replace('_', '-')} is for a machine, not for --node-id")
+    arguments.refuse(options, "is for a machine, not for --node-id", "axis", "mjcf", "joint",
+                     "parameter_file", "lessons")
     if len({*options.node_id}) < len(options.node_id):
         raise ValueError(f"--node-id {options.node_id}: a node-id is given twice")
     units = None

@@ -1,4 +1,4 @@
-"""What a serving command shows of its buses: a status line while it runs, figures at its end."""
+"""The display of a serving command: a status line while it runs, figures at its end."""
 
 import time
 from typing import Any
@@ -12,12 +12,12 @@ AL_STATES = {1: "INIT", 2: "PRE_OP", 3: "BOOT", 4: "SAFE_OP", 8: "OP"}
 
 
 def of(server: Any) -> "Line | Slaves":
-    """What is shown of a `Server`, a `LockStep` or an `EtherCatServer`."""
+    """The display for a `Server`, a `LockStep` or an `EtherCatServer`."""
     return Slaves(server) if hasattr(server, "ports") else Line(server)
 
 
 class Line:
-    """The nodes of a CAN bus: states, frames a second, the last SDO request."""
+    """The nodes of a CAN bus: states, frames per second, the last SDO request."""
 
     def __init__(self, server: Any):
         from ...drive.canopen.decode import Decoder
@@ -27,7 +27,7 @@ class Line:
         self._then, self._count = 0.0, 0
 
     def text(self, now: float) -> Text:
-        """The line at the time `now` (s)."""
+        """The status line at the time `now` (s)."""
         from ...drive.canopen.frame import Base
 
         line = Text(no_wrap=True, overflow="ellipsis")
@@ -38,7 +38,7 @@ class Line:
             mode = drive.model.mode_name(drive.mode)
             line.append(f" {drive.fault or mode}  " if drive.fault or mode else "  ")
         s = getattr(self._server, "statistics", None)
-        if s is None:  # in lock-step the time is the master's
+        if s is None:  # in lock-step the master determines the time
             return line.append(f"{1e-6 * self._server.time:.3f} s")
         frames = s.received + s.sent
         rate = (frames - self._count) / max(now - self._then, 1e-9) if self._then else 0.0
@@ -53,11 +53,11 @@ class Line:
         return line
 
     def now(self) -> RenderableType:
-        """What is shown now."""
+        """The present display."""
         return self.text(time.monotonic())
 
     def end(self) -> str:
-        """The figures of the end."""
+        """The figures at the end."""
         s = getattr(self._server, "statistics", None)
         if s is None:
             return f"{1e-6 * self._server.time:g} s have passed with the SYNCs of the master"
@@ -70,13 +70,13 @@ class Line:
 
 
 class Slaves:
-    """The slaves of an EtherCAT segment: cycles a second, AL states and device control."""
+    """The slaves of an EtherCAT segment: cycles per second, AL states and device control."""
 
     def __init__(self, server: Any):
         self._server, self._before = server, (server.now, 0)
 
     def now(self) -> RenderableType:
-        """What is shown now."""
+        """The present display."""
         bus, now = self._server.bus, self._server.now
         s, (then, cycles) = bus.statistics, self._before
         rate = (s.cycles - cycles) / max(now - then, 1) * 1e9
@@ -97,7 +97,7 @@ class Slaves:
         return table
 
     def end(self) -> str:
-        """The figures of the end."""
+        """The figures at the end."""
         s = self._server.bus.statistics
         return (
             f"{s.frames} frames received, {s.answered} answered, {s.cycles} cycles of process "

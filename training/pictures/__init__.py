@@ -1,1 +1,1 @@
-"""Scopes, episodes, heat maps, homing diagrams, videos."""
+"""Pictures of runs: scopes, episodes, heat maps, homing diagrams, videos."""

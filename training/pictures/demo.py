@@ -1,4 +1,4 @@
-"""`servogym demo`: a whole working day of a drive, measured and drawn."""
+"""`servogym demo`: enables, homes, moves and stops a drive, measures the run and draws it."""
 
 import functools
 import math
@@ -40,7 +40,7 @@ class Phase:
 
 
 class Demo:
-    """One run: the machine, its master, the trace and the phases it went through."""
+    """One run: the machine, its master, the trace and the phases of the run."""
 
     def __init__(self, drive: str, payload: float):
         for mode in NEEDED:
@@ -60,7 +60,7 @@ class Demo:
         self.phases: list[Phase] = []
 
     def run(self) -> None:
-        """All phases in their order."""
+        """Run all phases in order."""
         s = self.master
         self._phase("power on", lambda: None, 160)
         self._phase("enable", s.enable, 160)
@@ -72,14 +72,14 @@ class Demo:
         self._phase("quick stop", self.stop_in_motion)
 
     def _phase(self, name: str, action: Callable[[], None], rest: int = 40) -> None:
-        """Run a phase, and `rest` position cycles behind it."""
+        """Run a phase and `rest` position cycles after it."""
         start = len(self.trace)
         action()
         self.master.wait(rest * self.machine.cycle_time)
         self.phases.append(Phase(name, start, len(self.trace)))
 
     def stream(self) -> None:
-        """A jerk-limited trajectory, one target position a bus cycle through the RPDO."""
+        """Stream a jerk-limited trajectory: one target position per bus cycle through the RPDO."""
         x, s, p = self.drive, self.master, self.parameters
         x.write("interpolation_time_period_value", round(BUS_CYCLE * 1e3))
         x.write("interpolation_time_index", -3)
@@ -101,12 +101,12 @@ class Demo:
             )
             s.wait(BUS_CYCLE)
             now.pass_to_input(wanted)
-        if x.model.quirk("sync_monitored"):  # no more frames: to an enabled drive that is a fault
+        if x.model.quirk("sync_monitored"):  # the end of the frames is a fault of an enabled drive
             s.control(0)
             s.enable()
 
     def stop_in_motion(self) -> None:
-        """Profile velocity, and a quick stop in the middle of it."""
+        """Run at profile velocity, and quick-stop in the middle of it."""
         self.drive.write("target_velocity", round(0.6 * self.parameters.max_velocity * 1e6))
         self.master.set_mode(Mode.PROFILE_VELOCITY)
         self.master.wait(0.25)

@@ -1,4 +1,4 @@
-"""One fixed episode under several policies, as an oscilloscope shows it: panels over the time."""
+"""One fixed episode under several policies, drawn like on an oscilloscope: panels over time."""
 
 import io
 import math
@@ -19,16 +19,16 @@ from ..report import GRID, write_bytes
 from .recording import Recording
 from .scope import DEMAND, FORBIDDEN, show_both
 
-COLOURS = (  # of the policies, in turn; red is for windows and limits
+COLOURS = (  # of the policies, in turn; red marks windows and limits
     "#1f5fa8", "#e08214", "#2e8b57", "#8e44ad", "#16a2b8", "#d65db1", "#8a6d3b", "#9aa51b",
 )
-STYLES = ("-", (0, (4, 1, 1, 1)))  # the first time a colour is used, and the second
+STYLES = ("-", (0, (4, 1, 1, 1)))  # of the first and of the second use of a colour
 SHADES = 16  # of each colour towards white, in the picture
 DASHED = (0, (5, 2))
 
 
 def draw(path: Path, title: str, traces: Sequence[Recording]) -> None:
-    """A panel a channel, a colour a policy, to `path`. All are of the same task."""
+    """Draw a panel for each channel and a colour for each policy to `path`, for one task."""
     write_bytes(path, drawn(title, traces))
 
 
@@ -66,7 +66,7 @@ def _style(i: int) -> Any:
 
 
 def _palette() -> Image.Image:
-    """All colours of a picture with their shades: a quarter of the bytes."""
+    """A palette of all colours with their shades, which saves three quarters of the bytes."""
     ink = np.array([to_rgb(colour) for colour in (*COLOURS, DEMAND, FORBIDDEN, "#000000")])
     white = np.linspace(0.0, 1.0, SHADES)[:, None]
     shades = ink[:, None] * (1.0 - white) + white
@@ -76,7 +76,7 @@ def _palette() -> Image.Image:
 
 
 def outcome(trace: Recording) -> str:
-    """How the episode ended, in words; empty where a task asks for nothing that ends."""
+    """How the episode ended, in words; empty for a task without a goal that ends it."""
     if trace.ended:
         return f": {trace.ended} after {trace.time[-1]:.3f} s (cross)"
     done, not_done = trace.words
@@ -106,7 +106,7 @@ def _panel(panel: Axes, channel: Channel, samples, traces, colours) -> None:
 
 
 def _scale(panel: Axes, channel: Channel, samples: np.ndarray) -> None:
-    """The range of a panel; `samples` of all policies, shape ``(n, 3)``."""
+    """Set the range of a panel; `samples` are those of all policies, shape ``(n, 3)``."""
     away, windows = np.abs(samples[:, 0]), samples[np.isfinite(samples[:, 2]), 2]
     window = float(windows.max()) if len(windows) else math.inf
     near = channel.nearest * window
@@ -119,7 +119,7 @@ def _scale(panel: Axes, channel: Channel, samples: np.ndarray) -> None:
 
 
 def _reference_lines(panel: Axes, times, lines, colours, colour: str, style: Any) -> None:
-    """Once where it is the same for all policies, else in the colour of each."""
+    """Draw a line once if it is the same for all policies, otherwise in the colour of each."""
     longest = max(range(len(lines)), key=lambda i: len(lines[i]))
     same = all(np.array_equal(line, lines[longest][: len(line)], equal_nan=True) for line in lines)
     for i in [longest] if same else range(len(lines)):

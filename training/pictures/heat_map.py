@@ -1,4 +1,4 @@
-"""A picture of many figures: a panel a quantity, named rows and columns."""
+"""A picture of many figures: a panel for each quantity, with named rows and columns."""
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -8,11 +8,11 @@ import numpy as np
 
 from ..report import number
 
-FAR, MOST = 10.0, 6  # times the median of a panel is an outlier; so many are told
+FAR, MOST = 10.0, 6  # an outlier is above FAR times the median; MOST of them are explained
 
 
 def outliers(values: np.ndarray) -> list[tuple[int, int]]:
-    """Rows and columns of the values far above the median of all, the farthest first."""
+    """Rows and columns of the values far above the median of all, the largest first."""
     known = values[np.isfinite(values) & (values > 0)]
     if not len(known):
         return []
@@ -20,8 +20,8 @@ def outliers(values: np.ndarray) -> list[tuple[int, int]]:
     return sorted(((int(i), int(k)) for i, k in far), key=lambda place: -values[place])
 
 
-def _told(rows, columns, panels, why) -> list[str]:
-    """A line an outlier, or for what cannot be told that it was left out."""
+def _explained(rows, columns, panels, why) -> list[str]:
+    """A line for each outlier, and one for the number of those left out."""
     lines = []
     for name, values in panels.items():
         found = outliers(values)
@@ -40,20 +40,20 @@ def draw(
     panels: Mapping[str, np.ndarray], failures: np.ndarray | Mapping[str, np.ndarray],
     why: Callable[[str, int, int], str] | None = None,
 ) -> None:
-    """Draw.
+    """Draw panels with a coloured cell for each value.
 
     Args:
-        path: of the PNG.
-        title: above all.
-        rows: their names.
-        columns: their names.
+        path: path of the PNG.
+        title: title of the picture.
+        rows: names of the rows.
+        columns: names of the columns.
         panels: values by quantity with unit, shape ``(rows, columns)``.
-        failures: runs that failed, same shape, of all panels or by panel; cells with any have a
-            red frame.
-        why: gives the reason of an outlier by panel, row and column; below the picture these are
-            told in words, the farthest first.
+        failures: number of failed runs, same shape, for all panels or by panel; a cell with a
+            failed run has a red frame.
+        why: returns the reason of an outlier by panel, row and column; the reasons are printed
+            below the picture, the largest value first.
     """
-    from matplotlib.colors import LogNorm  # not with every evaluation, it takes a while
+    from matplotlib.colors import LogNorm  # imported here because it is slow to load
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
@@ -82,7 +82,7 @@ def draw(
         panel.set_yticks(range(len(rows)), [str(row) for row in rows], fontsize=8)
     heading = f"{title}; red frame: at least one run failed"
     figure.suptitle(textwrap.fill(heading, int(10 * figure.get_figwidth())), fontsize=11)
-    if why and (lines := _told(rows, columns, panels, why)):
+    if why and (lines := _explained(rows, columns, panels, why)):
         lines = [textwrap.fill(line, int(13 * figure.get_figwidth())) for line in lines]
         figure.set_figheight(figure.get_figheight() + 0.16 * sum(t.count("\n") + 1 for t in lines))
         figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8)

@@ -1,7 +1,7 @@
-"""`servogym homing --gallery DIR`: one diagram a homing method, drawn from real emulated runs.
+"""`servogym homing --gallery DIR`: a diagram of each homing method, drawn from emulated runs.
 
-As in a drive's manual: position to the right, time downwards, one line for each way to begin, the
-switches and index pulses below, the home position marked.
+The diagrams look as in the manual of a drive: position to the right, time downwards, a line for
+each start position, the switches and index pulses below, the home position marked.
 """
 
 import math
@@ -26,7 +26,7 @@ from ...envs.plants.linear_axis import linear_axis
 STARTS = {"left": 0.1, "on the switch": 0.205, "right": 0.37}  # m
 SWITCH = (0.155, 0.27)  # m; it is wider than the 60 mm between two index pulses
 COLOURS = ("#1f5fa8", "#d9822b", "#2f8f5b")
-# methods whose home switch goes on to the end of the axis: which end of it, and where (m)
+# methods whose home switch extends to the end of the axis: the field of that end, its place (m)
 TO_THE_END = {3: ("switch_to", 2.0), 4: ("switch_to", 2.0)}
 TO_THE_END |= {5: ("switch_from", -1.0), 6: ("switch_from", -1.0)}
 
@@ -43,7 +43,7 @@ class Run:
 
 
 def fit_home_switch(machine: Machine, method: int, own: tuple[float, float]) -> None:
-    """The home switch at its `own` place (m), or on to the end of the axis for a method's sake."""
+    """Place the home switch at `own` (m), extended to the end of the axis if a method needs it."""
     coupling = machine.couplings[0]
     coupling["switch_from"][tick.HOME], coupling["switch_to"][tick.HOME] = own
     reach = TO_THE_END.get(method if method < 17 else method - 16)
@@ -52,24 +52,24 @@ def fit_home_switch(machine: Machine, method: int, own: tuple[float, float]) -> 
 
 
 def home_switch(machine: Machine) -> tuple[float, float]:
-    """Where the home switch is active (m)."""
+    """The range in which the home switch is active (m)."""
     coupling = machine.couplings[0]
     return float(coupling.switch_from[tick.HOME]), float(coupling.switch_to[tick.HOME])
 
 
 def machine_for(method: int, drive: str = "generic") -> Machine:
-    """The axis for a method: with a home switch that goes on to the end, where it has to."""
+    """The axis for a method, with a home switch as the method needs it."""
     machine = linear_axis(drive)
     fit_home_switch(machine, method, SWITCH)
     x = machine.drives["x"]
     x.write("homing_method", method)
-    if method in (-1, -2, -17, -18):  # on a stop: all the way at the slower speed
+    if method in (-1, -2, -17, -18):  # homing on an end stop travels at the slower speed only
         x.write("speed_during_search_for_zero", 50_000)
     return machine
 
 
 def home(machine: Machine, start: float, name: str = "") -> Run:
-    """Home the axis from a carriage position (m), whatever comes of it."""
+    """Home the axis from a carriage position (m); the run may fail."""
     machine.reset(positions={"x": start})
     times: list[float] = []
     positions: list[float] = []
@@ -93,8 +93,8 @@ def home(machine: Machine, start: float, name: str = "") -> Run:
 
 
 def draw(method: int, machine: Machine, runs: Sequence[Run], path: Path) -> None:
-    """One diagram to `path`; the suffix chooses the format."""
-    from matplotlib.figure import Figure  # only where it is drawn, it takes a while
+    """Draw one diagram to `path`; the suffix chooses the format."""
+    from matplotlib.figure import Figure  # imported here because it is slow to load
 
     model = machine.drives["x"].model
     figure = Figure((8, 6.4), layout="constrained")

@@ -1,7 +1,7 @@
-"""What a recorder saw of one fixed episode under a policy.
+"""The recording of one fixed episode under a policy.
 
-A recorder looks at one environment at each of its steps: at the body its task moves, in MjData, and
-at the records of its drives. It only reads, so nothing that is measured changes.
+A recorder reads one environment at each of its steps: the body that the task moves, in MjData, and
+the records of the drives. It changes nothing.
 """
 
 import math
@@ -17,9 +17,9 @@ class Recording(NamedTuple):
     """Recording of one episode.
 
     `time` (s) has shape ``(n,)``; `samples` has shape ``(n, channels, 3)``: value, aim and half
-    window of each channel, not a number where there is none. `done` (s) is when what the task asks
-    for was reached for good, not a number if never, and `words` what that and the contrary are
-    called; `ended` is the fault or the like that ended it.
+    window of each channel, or NaN. `done` (s) is the time from which the goal of the task was kept,
+    or NaN; `words` are the names of success and failure; `ended` is the fault or other event that
+    ended the episode.
     """
 
     policy: str
@@ -41,7 +41,7 @@ class Recorder:
         self._rows: list[list[list[float]]] = []
 
     def look(self, time: float) -> None:
-        """Keep the present, at `time` (s)."""
+        """Record the present state at `time` (s)."""
         self._times.append(time)
         self._rows.append(
             [
@@ -55,10 +55,10 @@ class Recorder:
         self._declared = self._env.declared()
 
     def trace(self, policy: str, done: float, fault: str = "") -> Recording:
-        """What was kept; `done` is when the agent declared it, where it does, right or wrong."""
+        """Return the recording; a task whose agent declares success counts that time as done."""
         if self._declared is not None:
             done = self._times[-1] if self._declared else math.nan
-        if not any(self._env.DONE):  # the task goes on to its end
+        if not any(self._env.DONE):  # the task has no goal that ends it
             done = math.nan
         ended = self._env.outcome() or (f"fault {fault.partition(' ')[0]}" if fault else "")
         return Recording(

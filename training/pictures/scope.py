@@ -1,7 +1,7 @@
 """The standard picture of a motion: position, velocity, torque, following error, states and bits.
 
-Demands are dashed, actual values solid. Below the curves stands what the statusword said: state,
-mode, and its bits as a logic analyser shows them, each under the name it has in that mode.
+Demands are dashed, actual values solid. Below the curves are the state, the mode, and the bits of
+the statusword as on a logic analyser, each under the name that it has in that mode.
 """
 
 from pathlib import Path
@@ -55,7 +55,7 @@ def draw(data: dict[str, np.ndarray], phases: list[Any], path: Path, title: str)
 
 
 def _finish(panel: Axes, label: str) -> None:
-    """Name and unit of the quantity, and its key in the margin, where it hides nothing."""
+    """Name the quantity and its unit; the legend is in the margin, where it hides nothing."""
     panel.set_ylabel(label, fontsize=9)
     panel.grid(color="#e4e4e4", lw=0.6)
     panel.tick_params(labelsize=8)
@@ -113,7 +113,7 @@ def _following_error(panel: Axes, data) -> None:
 
 
 def show_both(panel: Axes, peak: float, window: float) -> None:
-    """Scale a panel so that a small error has a shape and a wide window is still in sight."""
+    """Scale a panel so that a small error is visible beside a wide window."""
     linear = round_up(peak)
     if linear >= window / 2:
         panel.set_ylim(-1.2 * max(window, peak), 1.2 * max(window, peak))
@@ -142,7 +142,7 @@ def runs(values: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _spans(panel: Axes, data) -> None:
-    """State and mode as coloured stretches, named inside where the name fits, and in a key."""
+    """Draw state and mode as coloured spans with their names, and a legend of the states."""
     time = np.append(data["time"], data["time"][-1])
     words, where = np.unique(data["statusword"], return_inverse=True)
     shown = [state_of(int(word)) for word in words]
@@ -181,7 +181,7 @@ def _span(panel: Axes, begin: float, end: float, row: int, name: str, colour: st
 
 
 def _bits(panel: Axes, data) -> None:
-    """One line a bit; a bit that a mode names is drawn only while it has that name."""
+    """Draw a line for each bit; a bit named by a mode is drawn only while that mode is active."""
     time, words = data["time"], data["statusword"].astype(int)
     modes = data["modes_of_operation_display"]
     rows = [(bit.name.lower(), bit, np.full(len(time), True)) for bit in BITS]
@@ -205,7 +205,7 @@ def _bits(panel: Axes, data) -> None:
 
 
 def _phases(panels, time, phases) -> None:
-    """Boundaries through all panels; names on top, each in the lowest row that has room for it."""
+    """Draw the phases: lines through all panels, and names on top, each in the lowest free row."""
     ends: list[float] = []  # right end of the last name, by row
     for phase in phases:
         start = time[min(phase.start, len(time) - 1)]

@@ -1,4 +1,4 @@
-"""A recording as an oscilloscope shows it: a panel for each channel over the time."""
+"""A recording drawn like on an oscilloscope: a panel for each channel over time."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ LINE, MARK = "#1f5fa8", "#c0561a"
 def draw(recording: Recording, path: Path) -> None:
     """Draw the channels of a recording to `path`, a PNG. Needs no display.
 
-    The trigger is drawn where it came, with its level; the statusword has the states behind it.
+    The picture shows the time and level of the trigger, and the states behind the statusword.
     """
     data = recording.arrays()
     rows = len(recording.channels)
@@ -48,7 +48,7 @@ def _trigger(axes: Axes, recording: Recording, name: str) -> None:
 
 
 def _states(axes: Axes, time: np.ndarray, words: np.ndarray) -> None:
-    """Words as levels, one for each that came, before the state that they tell."""
+    """Draw each statusword that occurs as a level, with its state in the background."""
     valid = np.isfinite(words)
     seen, level = np.unique(words[valid].astype(int), return_inverse=True)
     if not len(seen):

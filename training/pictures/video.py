@@ -1,4 +1,4 @@
-"""Recording pictures: to MP4, to GIF, or as PNGs into a folder, chosen by the suffix."""
+"""Records pictures to MP4, to GIF, or as PNGs into a folder; the suffix chooses."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,12 +10,12 @@ from PIL import Image
 from ...envs.view.overlay import STATE_COLOUR
 
 NO_DITHER = Image.Dither.NONE  # that of Pillow would flicker
-# Bayer's, in place of bands of colour in what goes from light to dark
+# Bayer's matrix prevents bands of colour where the brightness changes slowly
 RASTER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 2.0 - 3.75
 
 
 class Writer(Protocol):
-    """What takes the frames of a recording."""
+    """Receives the frames of a recording."""
 
     def add(self, image: np.ndarray) -> None:
         """Append an image, shape ``(height, width, 3)`` uint8."""
@@ -24,11 +24,11 @@ class Writer(Protocol):
         """Finish the file."""
 
 
-VIVID, PLACES = 48, 96  # difference of the primaries; colours of a palette for what has more
+VIVID, PLACES = 48, 96  # least difference of the primaries; places in a palette for such colours
 
 
 class Gif:
-    """An animated GIF; a frame lasts a whole number of 10 ms, as the format has it."""
+    """An animated GIF; a frame lasts a multiple of 10 ms, as the format requires."""
 
     def __init__(self, path: Path, fps: float):
         self._path, self._duration = path, max(round(100 / fps), 2) * 10
@@ -36,7 +36,7 @@ class Gif:
         self._palette: Image.Image | None = None
 
     def add(self, image: np.ndarray) -> None:
-        """Keep the image in the 256 colours of the first, with a raster that stands still."""
+        """Keep the image in the 256 colours of the first one, with a raster that stands still."""
         if self._palette is None:
             self._palette = _palette(image)
         height, width = image.shape[:2]
@@ -55,7 +55,7 @@ class Gif:
 
 
 def _palette(image: np.ndarray) -> Image.Image:
-    """256 colours of an image: of all of it, of its vivid parts, however small, and of states."""
+    """256 colours: of the whole image, of its vivid parts, however small, and of the states."""
     pixels = image.reshape(-1, 3)
     vivid = pixels[np.ptp(pixels, axis=1) > VIVID]
     colours = _colours(pixels, 256 - PLACES - len(STATE_COLOUR)) + _colours(vivid, PLACES)
@@ -66,7 +66,7 @@ def _palette(image: np.ndarray) -> Image.Image:
 
 
 def _colours(pixels: np.ndarray, most: int) -> list[int]:
-    """Red, green and blue of the colours that pixels are cut down to."""
+    """Red, green and blue of the colours to which pixels are reduced."""
     if not len(pixels):
         return []
     strip = Image.fromarray(np.ascontiguousarray(pixels[None])).quantize(most)
@@ -74,7 +74,7 @@ def _colours(pixels: np.ndarray, most: int) -> list[int]:
 
 
 class Mp4:
-    """H.264 by ffmpeg, as `imageio-ffmpeg` brings it or finds it."""
+    """H.264 by the ffmpeg that `imageio-ffmpeg` brings or finds."""
 
     def __init__(self, path: Path, fps: float):
         try:
@@ -120,14 +120,14 @@ class Folder:
         self._count += 1
 
     def close(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing: every file is complete."""
 
 
 WRITERS: dict[str, Callable[[Path, float], Writer]] = {".gif": Gif, ".mp4": Mp4, "": Folder}
 
 
-class Recording:
-    """Takes images and writes them to `path`; `close` finishes.
+def recording(path: Path, fps: float) -> Writer:
+    """Start a recording.
 
     Args:
         path: .gif, .mp4, or a folder.
@@ -137,21 +137,9 @@ class Recording:
         ValueError: another suffix.
         ImportError: MP4 without an encoder.
     """
-
-    def __init__(self, path: Path, fps: float):
-        suffix = path.suffix.lower()
-        if suffix not in WRITERS:
-            raise ValueError(f"--record {path}: use .mp4, .gif, or a folder for single images")
-        if suffix:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = WRITERS[suffix](path, fps)
-        self.frames = 0
-
-    def add(self, image: np.ndarray) -> None:
-        """Append an image, shape ``(height, width, 3)`` uint8."""
-        self._writer.add(image)
-        self.frames += 1
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
+    suffix = path.suffix.lower()
+    if suffix not in WRITERS:
+        raise ValueError(f"--record {path}: use .mp4, .gif, or a folder for single images")
+    if suffix:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return WRITERS[suffix](path, fps)

@@ -1,1 +1,1 @@
-"""Jobs done here, by processes or by a Ray cluster: results in their order, kept on disk."""
+"""Jobs done here, by processes or by a Ray cluster; their results are kept on disk."""

@@ -1,4 +1,4 @@
-"""Jobs done by a Ray cluster: one started here for the time being, or one that is there."""
+"""Jobs done by a Ray cluster: a temporary one on this machine, or an existing one."""
 
 import os
 import socket
@@ -10,26 +10,26 @@ from urllib.parse import urlsplit
 
 from .job import Done, Job, do, result, stamp
 
-SECONDS = 10.0  # until an address that does not answer is given up
-CONNECT = 60.0  # until a cluster that answers is given up
+SECONDS = 10.0  # time limit of a connection to an address
+CONNECT = 60.0  # time limit of joining a cluster
 RETRIES = 3  # of a job whose worker or node died
 
 
 def cluster(
     jobs: Sequence[Job], address: str, cores: int | None, warm: Sequence[Job]
 ) -> Iterator[tuple[int, bytes]]:
-    """Number and result of each job as it is done.
+    """Yield number and result of each job as soon as it is done.
 
     Args:
-        jobs: to be done, each on one core and one thread.
-        address: ``HOST:PORT``, ``ray://HOST:PORT`` or ``auto``; empty: a cluster is started here.
-        cores: of the cluster that is started here; all if not given.
-        warm: done on each node before the others, so that it compiles once.
+        jobs: the jobs, each on one core and one thread.
+        address: ``HOST:PORT``, ``ray://HOST:PORT`` or ``auto``; empty to start a cluster here.
+        cores: number of cores of a cluster that is started here; all by default.
+        warm: jobs that are done first on each node, so that it compiles once.
 
     Raises:
-        ValueError: nothing answers there.
+        ValueError: nothing answers at the address.
         RuntimeError: a node has another version.
-        Exception: of a job, as it was raised there.
+        Exception: the error of a job.
     """
     payloads = [job.sent() for job in jobs]
     with _connected(address, cores) as ray:
@@ -64,7 +64,7 @@ def _answer(ray: Any, reference: Any, name: str, where: str) -> Done:
 
 @contextmanager
 def _connected(address: str, cores: int | None) -> Iterator[Any]:
-    """Ray, connected; it is left as it was found."""
+    """Connect to Ray; afterwards it is in the same state as before."""
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray warns of it
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -89,7 +89,7 @@ def _connected(address: str, cores: int | None) -> Iterator[Any]:
 
 
 def _reach(address: str) -> None:
-    """Raises ValueError where no one listens: Ray itself would wait for minutes."""
+    """Raise ValueError if nothing listens at an address: Ray itself would wait for minutes."""
     if address == "auto":
         return
     try:
@@ -111,7 +111,7 @@ def _reach(address: str) -> None:
 
 
 def _bounded(address: str, connect: Any) -> None:
-    """Raises ValueError where it fails, or takes longer than `CONNECT`."""
+    """Connect; raise ValueError if that fails or takes longer than `CONNECT`."""
     failed: list[BaseException] = []
 
     def run() -> None:

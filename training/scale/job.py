@@ -1,7 +1,7 @@
-"""A job: a function of a module and what it is called with; its result is plain data.
+"""A job: a function of a module with its arguments; its result is plain data.
 
-Results travel and are kept as the bytes of an ``.npz`` without pickles, in every executor, so that
-one that was read from disk, one of another node and one that was made here are the same.
+Every executor sends and keeps results as the bytes of an ``.npz`` without pickles, so that a result
+is the same whether it was read from disk, made on another node or made here.
 """
 
 import hashlib
@@ -22,22 +22,22 @@ import numpy as np
 from ...drive.model import foreign
 from ...envs.engine.checks import THREADS
 
-Result = dict[str, Any]  # by name: an array, or what JSON has
+Result = dict[str, Any]  # by name: an array, or a value that JSON can represent
 LARGEST = 2**32  # bytes of a result, unpacked
-REST = "_rest"  # of the archive: what is not an array
-PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "ruckig")  # that decide a result
+REST = "_rest"  # name in the archive for all values that are not arrays
+PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "ruckig")  # that affect a result
 SOURCES = ("servogym.drive", "servogym.envs", "servogym.training", "servogym.assets")
-LEARNED = "policies"  # in the assets; a job watches those it plays
+LEARNED = "policies"  # folder in the assets; a job watches the policies that it plays
 
 
 class Job(NamedTuple):
-    """One of many.
+    """One of many jobs.
 
     Args:
-        name: told in progress and errors.
-        function: of a module; its result has arrays and what JSON has, by name.
-        arguments: of the function.
-        watched: files and folders whose contents the result depends on.
+        name: shown in progress and errors.
+        function: function of a module; returns arrays and JSON values by name.
+        arguments: arguments of the function.
+        watched: files and folders whose contents affect the result.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Job(NamedTuple):
     watched: tuple[str, ...] = ()
 
     def __call__(self) -> Result:
-        """Do it here."""
+        """Do the job in this process."""
         return self.function(**self.arguments)
 
     @property
@@ -63,7 +63,7 @@ class Job(NamedTuple):
         return found.hexdigest()[:32]
 
     def sent(self) -> bytes:
-        """For another process. Raises ValueError naming the job where that is not possible."""
+        """Encode the job for another process. Raises ValueError with its name if that fails."""
         try:
             return pickle.dumps(tuple(self))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -84,7 +84,7 @@ def encoded(result: Result) -> bytes:
 
 
 def decoded(data: bytes) -> Result:
-    """What was encoded. Raises ValueError where it is something else."""
+    """Decode a result. Raises ValueError for other data."""
     arrays = foreign.arrays(data, LARGEST, "the result of a job")
     if REST not in arrays:
         raise ValueError("this archive is not a result of a job")
@@ -92,15 +92,15 @@ def decoded(data: bytes) -> Result:
 
 
 class Done(NamedTuple):
-    """What a worker answers: the bytes of a result, or what went wrong."""
+    """The answer of a worker: the bytes of a result, or an error."""
 
     data: bytes = b""
     error: BaseException | None = None
-    refused: str = ""  # the worker's stamp where it is another one
+    refused: str = ""  # the stamp of a worker of another version
 
 
 def do(expected: str, threads: int, payload: bytes) -> Done:
-    """Do a job in a worker: of the version that sent it, with so many threads."""
+    """Do a job in a worker if its version is the `expected` one, with a number of threads."""
     if stamp() != expected:
         return Done(refused=stamp())
     os.environ[THREADS] = str(threads)
@@ -116,7 +116,7 @@ def do(expected: str, threads: int, payload: bytes) -> Done:
 
 
 def type_of(error: Exception) -> type[Exception]:
-    """The plain type a worker's error is told as; others may not come through a pipe."""
+    """The built-in type for an error of a worker; other types may not pass through a pipe."""
     kinds = (ValueError, OSError, ImportError, RuntimeError)
     return next(kind for kind in kinds if isinstance(error, kind))
 
@@ -139,7 +139,7 @@ def result(done: Done, where: str) -> bytes:
 
 @cache
 def stamp() -> str:
-    """Versions, and the digest of servogym's own sources: equal where results are equal."""
+    """Versions and a digest of servogym's own sources: equal stamps mean equal results."""
     found = hashlib.sha256()
     for package in SOURCES:
         for path in sorted(Path(str(files(package))).iterdir()):
@@ -151,7 +151,7 @@ def stamp() -> str:
 
 
 def _read(found: Any, path: Path) -> None:
-    """Add names and contents, of a folder those of all files in it."""
+    """Add the name and content of a file, or of all files in a folder."""
     if path.is_dir():
         if path.name != "__pycache__":
             for inner in sorted(path.iterdir()):

@@ -18,16 +18,16 @@ DEATHS = 3  # of the processes of one job, until it is given up
 def processes(
     jobs: Sequence[Job], workers: int, warm: Sequence[Job]
 ) -> Iterator[tuple[int, bytes]]:
-    """Number and result of each job as it is done.
+    """Yield number and result of each job as soon as it is done.
 
     Args:
-        jobs: to be done.
-        workers: how many processes.
-        warm: done before they start, so that nothing is compiled twice.
+        jobs: the jobs.
+        workers: number of processes.
+        warm: jobs that are done before the workers start, so that nothing is compiled twice.
 
     Raises:
-        RuntimeError: the processes of one job died one after the other.
-        Exception: of a job, as it was raised there.
+        RuntimeError: `DEATHS` processes have died during one job.
+        Exception: the error of a job.
     """
     payloads = [job.sent() for job in jobs]
     if not prepare([(job.place, dict(job.arguments)) for job in warm]):
@@ -77,11 +77,11 @@ class _Worker:
         other.close()
 
     def send(self, call: tuple[str, int, bytes]) -> None:
-        with suppress(OSError):  # it died: its answer says so
+        with suppress(OSError):  # if the process has died, `answer` reports it
             self.connection.send(call)
 
     def answer(self) -> Done | None:
-        """None where the process died."""
+        """Return the answer; None if the process has died."""
         try:
             return Done(*self.connection.recv())
         except (EOFError, OSError):

@@ -1,4 +1,4 @@
-"""Results of jobs in a folder: each there completely or not at all, under the digest of its job."""
+"""Results of jobs in a folder, each written completely or not at all, named by a digest."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ class ResultStore:
     """Stored results of one run, or of none.
 
     Args:
-        folder: in which to keep them; nothing is kept if not given.
-        resume: take what is there; else it is done anew.
+        folder: folder of the results; nothing is kept without one.
+        resume: return stored results; otherwise every job is done again.
     """
 
     def __init__(self, folder: Path | None, resume: bool):
@@ -21,7 +21,7 @@ class ResultStore:
         self._resume = resume
 
     def get(self, job: Job) -> Result | None:
-        """The result of an earlier run; None where there is none, or a damaged one."""
+        """Return the result of an earlier run; None if it is missing or damaged."""
         if self.folder is None or not self._resume:
             return None
         try:
@@ -30,24 +30,24 @@ class ResultStore:
             return None
 
     def save(self, job: Job, data: bytes) -> None:
-        """Keep a result. Raises OSError as the disk does, naming the file."""
+        """Store a result. Raises OSError with the name of the file."""
         if self.folder is None:
             return
         path = self._path(job)
         try:
             write_bytes(path, data)
-        except FileNotFoundError:  # the same command, run beside this one, has just cleared all
+        except FileNotFoundError:  # the same command in another process has just cleared the folder
             write_bytes(path, data)
 
     def clear(self, jobs: list[Job]) -> None:
-        """Remove those of these jobs, and the folder where no other is in it."""
+        """Remove the results of these jobs, and the folder if it is empty then."""
         if self.folder is None or not self.folder.is_dir():
             return
         for job in jobs:
             self._path(job).unlink(missing_ok=True)
         for left in self.folder.iterdir():
             if left.suffix != ".npz":
-                left.unlink(missing_ok=True)  # half of one, of a process that was killed
+                left.unlink(missing_ok=True)  # an incomplete result of a process that was killed
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 

@@ -1,7 +1,7 @@
-"""A process that has loaded and compiled what jobs need; the workers are forked from it.
+"""A process that has loaded and compiled all that jobs need; the workers are forked from it.
 
 It is the fork server of `multiprocessing`, which imports this module first. A command starts it
-before it loads anything itself: this module needs nothing but Python's own library.
+before it loads anything itself, so this module uses only Python's standard library.
 """
 
 import gc
@@ -15,23 +15,23 @@ from importlib import import_module
 from multiprocessing import forkserver, get_all_start_methods, get_context
 from typing import Any
 
-GIVEN = "SERVOGYM_TEMPLATE"  # environment variable: path of Python, and what is called
-BLAS = "OPENBLAS_NUM_THREADS"  # those of several workers would wait for one another
+GIVEN = "SERVOGYM_TEMPLATE"  # environment variable with Python's path and the calls
+BLAS = "OPENBLAS_NUM_THREADS"  # threads of several workers would wait for one another
 WORKER = "servogym.training.scale.processes"
 
 Call = tuple[str, dict[str, Any]]  # "module:function", and its arguments
 
-_prepared: list[list[Call]] = []  # what it was started for; none before it is
+_prepared: list[list[Call]] = []  # the calls of the fork server, once it is started
 
 
 def prepare(calls: Sequence[Call]) -> bool:
-    """Have it load and do this, while this process goes on.
+    """Have the fork server do some calls, while this process goes on.
 
     Args:
-        calls: small jobs that need all the others need.
+        calls: small jobs that load and compile all that the others need.
 
-    Returns whether workers will find it done; not where there is no fork server, or where it has
-    been started for something else.
+    Returns whether workers will find the calls done. They will not if there is no fork server, or
+    if it has been started for other calls.
     """
     if "forkserver" not in get_all_start_methods():
         return False
@@ -53,13 +53,13 @@ def prepare(calls: Sequence[Call]) -> bool:
 
 
 def _do(path: list[str], calls: list[Call]) -> None:
-    """In the new process; what fails here fails again in a job, which tells of it."""
+    """Do the calls in the new process; an error is ignored, because a job reports it again."""
     from ...envs.engine.checks import THREADS
 
     sys.path[:] = path
     os.environ[THREADS] = "1"  # a process with threads cannot be forked
     gc.disable()
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sends the jobs
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the sender of jobs
     try:
         for place, arguments in calls:
             module, _, function = place.partition(":")
@@ -68,7 +68,7 @@ def _do(path: list[str], calls: list[Call]) -> None:
     finally:
         signal.signal(signal.SIGINT, before)
         del os.environ[THREADS]
-        gc.freeze()  # what is there stays, and stays in pages that all workers share
+        gc.freeze()  # present objects stay in memory pages that all workers share
         gc.enable()
 
 

@@ -1,4 +1,4 @@
-"""`Work`: a list of jobs in, their results in the same order out, whoever does them."""
+"""`Work`: takes a list of jobs and returns their results in order, whoever does them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,13 +19,13 @@ MOST = 10_000  # workers
 
 @dataclass(frozen=True)
 class Work:
-    """Who does the jobs.
+    """The executor of jobs.
 
     Args:
-        workers: processes of this machine, or cores asked of a cluster that is started here; None:
-            no others than this process.
-        ray: address of a Ray cluster; empty: one is started on this machine; None: no Ray.
-        resume: take the results that are there already.
+        workers: number of processes, or of cores of a cluster that is started here; None uses this
+            process alone.
+        ray: address of a Ray cluster; empty to start one on this machine; None for no cluster.
+        resume: use the results that exist already.
 
     Raises:
         ValueError: numbers out of range.
@@ -43,18 +43,18 @@ class Work:
         self, jobs: Sequence[Job], *, folder: Path | None = None, console: Console | None = None,
         warm: Sequence[Job] = (), then: Callable[[int, Result], None] | None = None,
     ) -> list[Result]:
-        """Results of all, in the order of the jobs.
+        """Return the results of all jobs in their order.
 
         Args:
-            jobs: to be done; equal ones are done once.
-            folder: where results are kept until `clear`; none are if not given.
-            console: where to tell how far it is.
-            warm: small jobs, done once a machine before the others, so that it compiles once.
-            then: gets the number and the result of each job as soon as it is there, one after the
-                other; where others do the jobs, on a thread beside them.
+            jobs: the jobs.
+            folder: where results are kept until `clear`; nothing is kept without one.
+            console: shows the progress.
+            warm: small jobs that are done first on each machine, so that it compiles once.
+            then: receives the number and the result of each job as soon as it is done, one after
+                another; on a thread of its own if others do the jobs.
 
         Raises:
-            Exception: of a job, of the executor or of `then`; what was done until then is kept.
+            Exception: the error of a job, of the executor or of `then`; earlier results are kept.
         """
         console, kept = console or Console(quiet=True), ResultStore(folder, self.resume)
         found = [kept.get(job) for job in jobs]
@@ -92,7 +92,7 @@ class Work:
     def _beside(
         self, then: Callable[[int, Result], None] | None
     ) -> Iterator[Callable[[int, Result], Any]]:
-        """`then` as `map` calls it; the end waits for it, and raises what it raised."""
+        """Yield `then` as `map` calls it; at the end wait for its calls and raise their error."""
         if then is None or self.alone:
             yield then or (lambda i, result: None)
             return
@@ -111,7 +111,7 @@ class Work:
         return self.ray is None and self.workers is None
 
     def clear(self, jobs: Sequence[Job], folder: Path) -> None:
-        """Remove what was kept of them: the results are written."""
+        """Remove the kept results of jobs whose results have been written."""
         ResultStore(folder, self.resume).clear(list(jobs))
 
     def _done(
