@@ -210,7 +210,7 @@ def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
         RobotEnv,
         "Policies of Robot-v0 for this MJCF command all its drives; the goal is that of this "
         "axis, the others stay where they are.",
-        (*RobotEnv.POLICIES, "hold"),
+        ("proportional", "trapezoid", "hold"),
         Goal("Goal", unit, round(low, 3), round(high, 3), round((low + high) / 2, 3)),
         f"position ({unit})", {"mjcf": str(mjcf), "drives": [*machine.drives]}, axis,
     )

@@ -169,7 +169,11 @@ class RobotEnv(ServoEnv):
     )
     act = staticmethod(act)
     judge = staticmethod(judge)
-    POLICIES: tuple[str, ...] = ("proportional",)
+    BOUND = "reached"
+    POLICIES: tuple[str, ...] = (
+        "trapezoid", "proportional", "tuned_proportional", "informed_trapezoid", "bound",
+    )
+    REFERENCE: str = "trapezoid"
     UNIT = "m or rad"
     CHANNELS = (
         Channel("from the goal\n(m)", lambda env: float(env.episode.distance), nearest=15.0,
@@ -220,7 +224,7 @@ class RobotEnv(ServoEnv):
             ("axes", (len(names),), AXIS), ("site", (3,)), ("site_fine", (3,))
         )
         if site is not None:
-            self.POLICIES = ()  # they know joints
+            self.POLICIES, self.REFERENCE = (), ""  # they know joints
         super().__init__(drive, **arguments)
         self.datasheet = Joints(tuple(self._half(i) for i in range(len(names))))
 

@@ -148,8 +148,10 @@ class RotaryAxisEnv(ServoEnv):
     act = staticmethod(act)
     judge = staticmethod(judge)
 
-    BOUND = "positioned"
-    POLICIES = ("trapezoid", "ruckig", "proportional")
+    BOUND = "turned"
+    POLICIES = (
+        "trapezoid", "ruckig", "proportional", "tuned_proportional", "informed_ruckig", "bound",
+    )
     REFERENCE = "ruckig"
     UNIT = "rad"
     METRIC = "settling_time"

@@ -17,7 +17,7 @@ import pytest
 from test_benchmark import ONE, RESULTS, SMALL, entered, refused
 
 from servogym.drive.model import foreign
-from servogym.envs import TASKS
+from servogym.envs import ON_MODELS, TASKS
 from servogym.training import cli
 from servogym.training.evaluate import submission as format_of
 from servogym.training.evaluate import suite
@@ -360,7 +360,7 @@ OPENED = []  # files, while a test listens
 sys.addaudithook(lambda event, given: OPENED.append(str(given[0])) if event == "open" else None)
 
 
-@pytest.mark.parametrize("env", [env for env in TASKS if env.POLICIES], ids=lambda env: env.ID)
+@pytest.mark.parametrize("env", [*TASKS, *ON_MODELS], ids=lambda env: env.ID)
 def test_what_a_row_reads_from_a_file_is_in_the_hash_of_its_entry(env):
     """The hash stayed when the numbers of a tuned row were edited."""
     one = env()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from servogym.envs import ON_MODELS, TASKS
 from servogym.envs.environment.registry import task
 from servogym.training import cli
 from servogym.training.evaluate import compare, results, tuner
@@ -56,8 +57,18 @@ def test_the_committed_page_is_what_the_command_writes():
 
 
 PAGES = Path(__file__).parents[2] / "docs" / "results"
-COMPARED = [*sorted(SHIPPED.glob("*/compare.json")), PAGES / "gantry_sync.json"]
+COMPARED = [
+    path for path in (*sorted(SHIPPED.glob("*/compare.json")), *sorted(PAGES.glob("*.json")))
+    if "policies" in json.loads(path.read_bytes())
+]
 NAMES = [path.parent.name if path.stem == "compare" else path.stem for path in COMPARED]
+
+
+def test_every_task_has_a_committed_comparison_and_a_section_on_the_page_of_headroom():
+    ids = sorted(kind.ID for kind in (*TASKS, *ON_MODELS))
+    assert sorted(task(json.loads(path.read_bytes())["env"]).ID for path in COMPARED) == ids
+    page = (PAGES / "headroom.md").read_text(encoding="utf-8")
+    assert sorted(f"servogym/{name}" for name in re.findall(r"^## (\w+-v\d): ", page, re.M)) == ids
 
 
 def evaluations(path):

@@ -1,27 +1,32 @@
 """Certified bounds: against closed forms, against the physics, and against every row."""
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from servogym.envs import TASKS
+from servogym.envs import ON_MODELS, TASKS
 from servogym.envs.plants.axis_parameters import LinearAxisParameters
+from servogym.envs.plants.rotary_parameters import CONVEYOR
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
+from servogym.envs.tasks.robot import RobotEnv
 from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
 from servogym.training.evaluate import comparison
 from servogym.training.policies import SHIPPED, make, names, needed
-from servogym.training.policies.bound import BOUNDS, Bound
+from servogym.training.policies.bound import BOUNDS, Bound, _farthest
 from servogym.training.policies.bounds.errors import least_squares
 from servogym.training.policies.bounds.plant import LOAD, plant
 from servogym.training.policies.bounds.times import Question, least_ticks, outside
 
 MOVE = {"start": 0.1, "goal": 0.3}
+ALL = (*TASKS, *ON_MODELS)
 FREE = {"coulomb_friction": 0.0, "viscous_friction": 0.0}
-BOUNDED = [task for task in TASKS if task.BOUND in BOUNDS]
 
 
 def begun(task=LinearAxisEnv, options=MOVE, **arguments):
@@ -124,10 +129,80 @@ def test_a_jump_of_the_reference_leaves_an_error_and_a_slow_one_none():
 
 
 def test_mechanics_without_a_bound_are_refused():
-    env = RotaryAxisEnv()
-    env.reset(seed=1)
+    parameters = LinearAxisParameters(transmission_stiffness=2e7, backlash=1e-5)
     with pytest.raises(ValueError, match="linear mechanics"):
-        Bound(env)
+        Bound(begun(parameters=parameters))
+
+
+def test_a_free_roller_takes_full_torque_forth_and_back():
+    """A conveyor whose window of the following error leaves the set-points no say."""
+    parameters = replace(CONVEYOR, coulomb_friction=0.0, viscous_friction=0.0)
+    options = {"start": 0.5, "goal": 1.0}
+    env = begun(RotaryAxisEnv, options, parameters=parameters, following_error_window=10.0)
+    force, inertia = force_and_mass(env)
+    expected = 2.0 * math.sqrt(0.5 * inertia / force)
+    found = make("bound", env).values()["settling_time"]
+    assert expected - 2 * env.step_time < found <= expected + 1e-3
+
+
+def test_the_shorter_way_round_is_what_counts():
+    """Over the end of the range: 0.4 rad at 6 rad/s, less what the axis may be ahead."""
+    period = 2 * math.pi
+    ends = {"start": 0.2, "goal": period - 0.2}
+    env = begun(RotaryAxisEnv, ends)
+    near = env.tolerance + 0.05 + 2 / env.units
+    steps = math.ceil((0.4 - near) / env.episode._way) - 1
+    assert steps > 5
+    found = make("bound", env).values()["settling_time"]
+    assert found == pytest.approx(steps * env.step_time, abs=0.1 * env.step_time)
+    there = begun(RotaryAxisEnv, {"start": 1.0, "goal": 1.0})
+    assert make("bound", there).values()["settling_time"] == 0.0
+
+
+@settings(deadline=None)
+@given(
+    st.floats(0.2, 3.0), st.floats(0.05, 1.0), st.floats(0.0, 20.0),
+    st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60),
+)
+def test_no_set_point_that_can_stop_in_time_is_ahead_of_the_farthest(most, ramp, left, wanted):
+    """Steps of chance, of which those are taken from which a full stop is within the limit."""
+    farthest = _farthest(most, ramp, left, len(wanted))
+    place = step = 0.0
+    for n, share in enumerate(wanted):
+        asked = min(max(2.0 * share * most, step - ramp), step + ramp, most)
+        stopping, slower = asked, asked - ramp
+        while slower > 0.0:
+            stopping, slower = stopping + slower, slower - ramp
+        step = asked if place + max(stopping, asked) <= left else max(step - ramp, 0.0)
+        place += step
+        assert place <= farthest[n + 1] + 1e-9
+    assert farthest[-1] <= left + 1e-9
+
+
+def test_the_farthest_set_point_is_the_trapezoid_of_the_profile():
+    """From rest to rest: way / speed + speed / acceleration."""
+    places = _farthest(0.02, 0.0005, 1.0, 400)
+    there = int(np.argmax(places > 1.0 - 1e-9))
+    assert there == pytest.approx(1.0 / 0.02 + 0.02 / 0.0005, abs=2)
+    assert np.diff(places).max() <= 0.02 + 1e-12
+    assert np.abs(np.diff(places, 2)).max() <= 0.0005 + 1e-12
+
+
+def test_the_return_of_a_robot_is_bounded_step_by_step():
+    """One joint 1 rad away: nothing is earned for being settled until its set-point is near."""
+    env = begun(RobotEnv, {"goal": {"turn": 1.0, "shoulder": 0.0, "elbow": 0.0}})
+    limit = make("bound", env).values()
+    speed, rate = env.episode._way[0] / env.step_time, env.episode._ramp[0] / env.step_time**2
+    near = env.tolerance + float(env.episode._windows[0])
+    fastest = (1.0 + near) / speed + speed / rate - 2.0 * math.sqrt(near / rate)
+    assert limit["settling_time"] == pytest.approx(fastest, abs=3 * env.step_time)
+    unsettled = limit["settling_time"] / env.step_time
+    assert env.STEPS - unsettled < limit["episode_return"] < env.STEPS - 0.3 * unsettled
+
+
+def test_every_task_has_a_bound():
+    assert {task.BOUND for task in ALL} == BOUNDS.keys()
+    assert all("bound" in task.POLICIES for task in ALL)
 
 
 def above(task, rows, episodes, seed):
@@ -156,20 +231,20 @@ QUICK = {
     "servogym/GantrySync-v0": ["informed_squaring"],
     "servogym/Homing-v0": ["informed_search", "built_in_fast"],
     "servogym/Commissioning-v0": ["informed_plc"],
+    "servogym/RotaryAxis-v0": ["ruckig", "tuned_proportional"],
+    "servogym/Robot-v0": ["trapezoid"],
 }
 
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_sample_of_rows_stays_behind_the_bound(name):
-    [task] = [task for task in BOUNDED if name == task.ID]
+    [task] = [task for task in ALL if name == task.ID]
     assert not above(task, QUICK[name], 3, 0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", BOUNDED, ids=lambda task: task.ID)
+@pytest.mark.parametrize("task", ALL, ids=lambda task: task.ID)
 def test_no_row_is_above_its_bound_in_any_episode(task):
-    if "bound" not in task.POLICIES:
-        pytest.skip("its mechanics are not linear")
     rows = [row for row in names(task()) if row != "bound" and not needed(row)]
     learned = ["learned"] if (SHIPPED / task.ID.rpartition("/")[2]).is_dir() else []
     assert not above(task, [*rows, *learned], 20, 0)

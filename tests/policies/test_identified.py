@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from servogym.envs import TASKS
+from servogym.envs import ON_MODELS, TASKS
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
@@ -118,7 +118,8 @@ def test_the_committed_numbers_of_the_cheapest_row_are_what_its_command_writes(t
 
 
 def test_the_committed_file_has_every_row_and_task_of_the_tuner_with_its_command():
-    offering = {(row, t.ID) for row in tuner.offered() for t in TASKS if row in t.POLICIES}
+    every = (*TASKS, *ON_MODELS)
+    offering = {(row, t.ID) for row in tuner.offered() for t in every if row in t.POLICIES}
     found = {(row, f"servogym/{t}") for row, own in tuned().items() for t in own}
     assert found == offering
     for row, own in tuned().items():

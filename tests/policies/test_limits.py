@@ -3,20 +3,17 @@
 import numpy as np
 import pytest
 
-from servogym.envs import TASKS
+from servogym.envs import ON_MODELS, TASKS
 from servogym.envs.tasks.commissioning import CommissioningEnv
 from servogym.envs.tasks.compliant import CompliantAxisEnv
 from servogym.envs.tasks.homing import HomingEnv
-from servogym.envs.tasks.robot import RobotEnv
-from servogym.envs.tasks.rotary import RotaryAxisEnv
 from servogym.envs.tasks.tracking import LinearAxisTrackingEnv
-from servogym.training.evaluate import comparison, tables
+from servogym.training.evaluate import comparison, tables, tuner
 from servogym.training.policies import ANYWHERE, POLICIES, make
 from servogym.training.policies.datasheet import datasheet
 from servogym.training.policies.lqr import gain
 
 MOVE = {"start": 0.1, "goal": 0.3}
-EIGHT = [task for task in TASKS if task not in (RobotEnv, RotaryAxisEnv)]
 
 
 def play(env, policy, steps=None, **options):
@@ -30,12 +27,14 @@ def play(env, policy, steps=None, **options):
     return info
 
 
-@pytest.mark.parametrize("task", EIGHT, ids=lambda task: task.ID)
-def test_every_task_has_two_classical_baselines_and_a_limit(task):
-    assert len(EIGHT) == 8
+@pytest.mark.parametrize("task", [*TASKS, *ON_MODELS], ids=lambda task: task.ID)
+def test_every_task_has_three_classical_rows_one_of_them_tuned_a_told_row_and_a_bound(task):
     assert ANYWHERE == ("hold", "random")
-    assert len([name for name in task.POLICIES if not POLICIES[name].informed]) >= 2
-    assert [name for name in task.POLICIES if POLICIES[name].informed]
+    rivals = [name for name in task.POLICIES if not POLICIES[name].informed]
+    assert len(rivals) >= 3
+    assert {*rivals} & {*tuner.FITTED, *tuner.offered()}
+    assert [name for name in task.POLICIES if POLICIES[name].informed and name != "bound"]
+    assert "bound" in task.POLICIES
 
 
 def test_a_bound_is_a_row_of_settling_time_alone_and_below_all_others(tmp_path):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servogym.envs import TASKS
+from servogym.envs import ON_MODELS, TASKS
 from servogym.envs.engine import probe
 from servogym.envs.plants.axis_parameters import LinearAxisParameters
 from servogym.envs.tasks.compliant import PARAMETERS as COMPLIANT
@@ -344,10 +344,11 @@ def test_a_function_of_a_file_is_a_policy(tmp_path):
 
 
 def test_the_tasks_name_each_policy_of_the_table_and_no_other():
-    for task in TASKS:
+    every = (*TASKS, *ON_MODELS)
+    for task in every:
         assert set(task.POLICIES) <= set(POLICIES) - set(ANYWHERE)
         assert task.REFERENCE in ("", *task.POLICIES)
-    named = {name for task in TASKS for name in task.POLICIES}
+    named = {name for task in every for name in task.POLICIES}
     assert named | set(ANYWHERE) == set(POLICIES)
 
 

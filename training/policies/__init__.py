@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ...drive.model.names import hint
-from ...envs import TASKS
+from ...envs import ON_MODELS, TASKS
 from ...envs.engine.checks import error_line
 from ...envs.environment.servo_env import ServoEnv
 from ...envs.exchange.faces import PDO, SETPOINT
@@ -42,7 +42,7 @@ from .identified import IdentifiedZv, IdentifiedZvd
 from .idle import Chance, Hold
 from .informed import INFORMED, PREFIX
 from .lqr import Lqr
-from .pd import Proportional, ProportionalDifferential
+from .pd import Proportional, ProportionalDifferential, TunedProportional
 from .plc import TunedTimed, plc_policy, timed_policy
 from .predictive import Predictive
 from .profiles import (
@@ -120,6 +120,9 @@ POLICIES: dict[str, Baseline] = {
     "adaptive_lqr": Baseline(AdaptiveLqr, "the same, with the resonance identified as it moves"),
     "mpc": Baseline(Predictive, "model predictive control with the limits, by OSQP"),
     "proportional": Baseline(Proportional, "velocity from the distance"),
+    "tuned_proportional": Baseline(
+        TunedProportional, "the same with a braking curve, by numbers of the tuner"
+    ),
     "pd": Baseline(ProportionalDifferential, "torque from distance and velocity", {"mode": "cst"}),
     "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
     "adaptive_feed_forward": Baseline(
@@ -289,7 +292,7 @@ def make(name: Any, env: ServoEnv, seed: int = 0) -> Policy | BuiltIn | Bound:
             raise ValueError(f"{who}: {hint(each, POLICIES)}")
     anywhere = base in ANYWHERE
     if not anywhere and base not in env.POLICIES:
-        others = ", ".join(each.ID for each in TASKS if base in each.POLICIES)
+        others = ", ".join(each.ID for each in (*TASKS, *ON_MODELS) if base in each.POLICIES)
         raise ValueError(
             f"policy {name!r} is for {others}: for {task} choose of {', '.join(names(env))}"
         )

@@ -4,7 +4,11 @@
 |------|----------|----------------------|-|
 | LinearAxis, Compliant | settling time | all torques within the limits, lag of the current loop, \
 set-points at their top speed with the axis within the window of the following error | proven |
+| RotaryAxis | settling time | the same; set-points at their top speed if its gear is not linear \
+| proven |
 | GantrySway | settling time | the same, of the pendulum for small angles | inferred |
+| Robot | settling time, return | set-points of each joint within their speed and acceleration \
+| proven |
 | GantrySync, Commissioning | settling time | set-points at their top speed | proven |
 | Homing | settling time | all torques, and the top speed with `OVER` of overshoot | inferred |
 | LinearAxisTracking | rms error | all torques, where the reference turns sharpest | proven |
@@ -28,8 +32,11 @@ from ...drive.kernel.words import Mode
 from ...envs.engine import probe
 from ...envs.engine.tick import NEGATIVE
 from ...envs.environment.servo_env import METRE, ServoEnv
+from ...envs.tasks.rewards import closeness
+from ...envs.tasks.robot import FAR
+from ...envs.tasks.rotary import nearest
 from .bounds.errors import SIDE, least_squares
-from .bounds.plant import NotLinear, Plant, plant
+from .bounds.plant import LOAD, NotLinear, Plant, plant
 from .bounds.times import Question, least_ticks, scipy
 
 TAIL, SWINGING = 0.03, 0.2  # s, in the window that is looked at; where a load is on a spring
@@ -53,10 +60,11 @@ class Bound:
         if env.BOUND not in BOUNDS:
             raise ValueError(f"policy 'bound': no bound is known for {env.ID}")
         self._env, self._of = env, BOUNDS[env.BOUND]
-        try:
-            plant(env, 1)
-        except NotLinear as error:
-            raise ValueError(f"policy 'bound': {error}") from None
+        if env.BOUND in LINEAR:
+            try:
+                plant(env, 1)
+            except NotLinear as error:
+                raise ValueError(f"policy 'bound': {error}") from None
 
     def values(self) -> dict[str, float]:
         """The best possible value of each metric."""
@@ -83,15 +91,53 @@ def _delay(env: Any, d: int = 0) -> int:
     return 0 if env.machine.couplings[d]["noise"] > 0.0 else int(env.machine.world["delay"][0])
 
 
+def _ahead(env: Any, d: int = 0) -> float:
+    """The distance by which an axis can lead its set-point (m or rad)."""
+    window = float(env.machine.axes[d]["od"]["following_error_window"]) + 2.0  # of rounding
+    return window / env.units + NOISE * float(env.machine.couplings[d]["noise"])
+
+
 def _set_points(env: Any, d: int = 0) -> dict[str, float]:
     """The top speed of the set-points, and the distance by which an axis can lead them."""
-    coupling, od = env.machine.couplings[d], env.machine.axes[d]["od"]
-    units = env.units
-    ahead = float(od["following_error_window"]) + 2.0  # of rounding
-    return {
-        "speed": float(env.episode._way) / env.step_time,
-        "ahead": ahead / units + NOISE * float(coupling["noise"]),
-    }
+    return {"speed": float(env.episode._way) / env.step_time, "ahead": _ahead(env, d)}
+
+
+def _farthest(most: float, ramp: float, left: float, steps: int) -> np.ndarray:
+    """Return how far a set-point can be from its start after 0, 1, 2 … `steps` steps.
+
+    Each step is as large as it may be such that the set-point can still stop within `left`. No
+    other sequence of steps is ahead of this one at any time.
+
+    Args:
+        most: the largest step (m or rad).
+        ramp: by how much a step can differ from the one before (m or rad).
+        left: where the set-point has to stop at the latest (m or rad), may be infinite.
+        steps: how many.
+    """
+    terms = np.arange(math.ceil(most / ramp)) + 1.0  # of the steps until it stands
+    spared = 0.5 * ramp * (terms - 1.0)
+    places, step = np.zeros(steps + 1), 0.0
+    for n in range(steps):
+        stopping = float(np.min((left - places[n]) / terms + spared))
+        step = max(min(step + ramp, most, stopping), 0.0)
+        places[n + 1] = places[n] + step
+    return places
+
+
+def _arrival(way: float, near: float, most: float, ramp: float, steps: int) -> int:
+    """Return the number of steps before a set-point is within `near` of its goal and stays there.
+
+    An episode counts as settled from the last step at which it was not.
+
+    Args:
+        way: from the start to the goal (m or rad).
+        near: the tolerance, and how far the axis can be ahead of its set-point (m or rad).
+        most: the largest step of the set-point (m or rad).
+        ramp: by how much a step can differ from the one before (m or rad).
+        steps: of an episode.
+    """
+    there = _farthest(most, ramp, way + near, steps) >= way - near
+    return max(int(np.argmax(there)) - 1, 0) if there.any() else steps
 
 
 def _positioned(env: Any) -> dict[str, float]:
@@ -122,12 +168,54 @@ def _swayed(env: Any) -> dict[str, float]:
 
 def _squared(env: Any) -> dict[str, float]:
     """The middle of the bridge, which the two set-points bring there."""
-    limits = [_set_points(env, d) for d in range(2)]
     here = float(env.machine.data.qpos[int(env.episode._bridge_at)])
-    way = abs(float(env.episode.goal) - here) - env.tolerance
-    way -= sum(limit["ahead"] for limit in limits) / 2.0
-    step = limits[0]["speed"] * env.step_time
-    return {"settling_time": max(math.ceil(way / step) - 1, 0) * env.step_time}
+    way = abs(float(env.episode.goal) - here)
+    near = env.tolerance + sum(_ahead(env, d) for d in range(2)) / 2.0
+    most = float(env.episode._way)
+    return {"settling_time": _arrival(way, near, most, most, env.STEPS) * env.step_time}
+
+
+def _turned(env: Any) -> dict[str, float]:
+    """The axis as its drive measures it, agent step by agent step; the way round that is shorter.
+
+    A gear with backlash or losses is not linear, so that only the set-points are bounded there.
+    """
+    episode, every = env.episode, _ticks(env, env.step_time)
+    here, period = float(episode._target), float(episode._period)
+    way = nearest(float(episode.goal) - here, period)
+    near, most = env.tolerance + _ahead(env), float(episode._way)
+    seconds = _arrival(abs(way), near, most, most, env.STEPS) * env.step_time
+    make = partial(plant, env, arm=None if env.datasheet.load_encoder else {})
+    try:
+        begin = float(make(1).free[0, LOAD])
+    except NotLinear:
+        return {"settling_time": seconds}
+    within = env.tolerance + 2.0 / env.units  # of rounding
+    asked = [
+        Question(
+            begin + goal, within, every, every * env.STEPS, _ticks(env, TAIL), **_set_points(env)
+        )
+        for goal in (way, way - math.copysign(period, way))
+    ]
+    least = min(_least(make, each, _delay(env)) for each in asked)
+    return {"settling_time": max(seconds, least)}
+
+
+def _reached(env: Any) -> dict[str, float]:
+    """The joint that is last at its goal, by the speed and the acceleration of its set-point."""
+    episode, steps = env.episode, env.STEPS
+    settled, away = 0, np.zeros(steps)  # of the joint farthest from its goal, after each step
+    for d in np.flatnonzero(episode._sought).tolist():
+        way, ahead = abs(float(episode._goal[d] - episode._target[d])), _ahead(env, d)
+        limits = float(episode._way[d]), float(episode._ramp[d])
+        settled = max(settled, _arrival(way, env.tolerance + ahead, *limits, steps))
+        away = np.maximum(away, way - ahead - _farthest(*limits, math.inf, steps)[1:])
+    near = [closeness(distance / env.tolerance, FAR) for distance in away]
+    rewards = 0.5 * np.array(near) + 0.5 * (away <= env.tolerance)
+    return {
+        "settling_time": settled * env.step_time,
+        "episode_return": float(rewards.sum()),
+    }
 
 
 def _homed(env: Any) -> dict[str, float]:
@@ -176,6 +264,8 @@ def _contoured(env: Any) -> dict[str, float]:
 
 BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {  # by `Task.BOUND`
     "positioned": _positioned,
+    "turned": _turned,
+    "reached": _reached,
     "tracked": _tracked,
     "swayed": _swayed,
     "squared": _squared,
@@ -183,4 +273,5 @@ BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {  # by `Task.BOUND`
     "homed": _homed,
     "commissioned": _commissioned,
 }
+LINEAR = ("positioned", "tracked", "swayed", "homed")  # ask for linear mechanics
 INFERRED = ("swayed", "homed")  # the others are proven

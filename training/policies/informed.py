@@ -16,7 +16,7 @@ from .datasheet import Datasheet, datasheet
 from .gantry import Squaring
 from .lqr import Lqr
 from .plc import chain
-from .profiles import Profile, of_the_drive, time_optimal
+from .profiles import Profile, Trapezoid, of_the_drive, of_the_profile, time_optimal
 from .script import Script
 
 SPARE = 0.95  # of the top speed of a homing, the rest holds the path
@@ -115,6 +115,7 @@ INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
     "lqr": partial(InformedPolicy, Lqr),
+    "trapezoid": partial(InformedPolicy, partial(Trapezoid, bounds=of_the_profile)),
     "ruckig": partial(InformedPolicy, Profile),
     "ruckig+zv": partial(InformedPolicy, partial(Profile, shapers=1)),
     "ruckig+zvd": partial(InformedPolicy, partial(Profile, shapers=2)),

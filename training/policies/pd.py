@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .datasheet import Datasheet
+from .datasheet import Axis, Datasheet
+from .numbers import Range, Tunable
 from .profiles import of_the_drive
 
 GAIN = 15.0  # 1/s, of `Proportional`
@@ -54,23 +55,62 @@ class ProportionalDifferential:
 class Proportional:
     """Velocity of each set-point = gain × distance, with 6081h and 6083h as its limits."""
 
+    GAIN, ACCELERATION = GAIN, 1.0  # 1/s, and a share of 6083h
+
     def __init__(self, datasheet: Datasheet, seed: int = 0):
         self._known = datasheet
         self._axes = (datasheet.axis, *datasheet.axes[1:])
-        self._change = [axis.profile.acceleration * datasheet.step_time for axis in self._axes]
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest."""
         self._velocities = [0.0] * len(self._axes)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Return torque or velocity from distance and velocity."""
+        """Return the velocities of the set-points for the distances observed."""
         shares = np.zeros(len(self._axes), np.float32)
         named_by_axis = self._known.named_by_axis(observation)
         for d, (axis, seen) in enumerate(zip(self._axes, named_by_axis, strict=True)):
-            limit, before, change = axis.profile.velocity, self._velocities[d], self._change[d]
-            wanted = GAIN * float(seen.distance) * axis.stroke
+            limit, before = self.limit(axis), self._velocities[d]
+            change = self.ACCELERATION * axis.profile.acceleration * self._known.step_time
+            wanted = self.wanted(float(seen.distance) * axis.stroke, axis)
             wanted = min(max(wanted, -limit), limit)
             self._velocities[d] = min(max(wanted, before - change), before + change)
             shares[d] = min(max(self._velocities[d] / axis.speed, -1.0), 1.0)
         return self._known.action(velocity=shares)
+
+    def limit(self, axis: Axis) -> float:
+        """Return the largest velocity."""
+        return axis.profile.velocity
+
+    def wanted(self, distance: float, axis: Axis) -> float:
+        """Return the velocity for a distance before it is limited."""
+        return self.GAIN * distance
+
+
+class TunedProportional(Proportional, Tunable):
+    """The same with numbers of the tuner, and from afar along a braking curve.
+
+    The velocity is at most that from which the axis stops at its goal with a constant deceleration,
+    and that of an action of 1.
+    """
+
+    NAME = "tuned_proportional"
+    RANGES = {  # noqa: RUF012
+        "gain": Range(10.0, 120.0, GAIN),  # 1/s
+        "acceleration": Range(1.0, 10.0, 1.0),  # of 6083h
+        "brake": Range(0.5, 10.0, 1.0),  # of 6083h, along the curve
+    }
+
+    def __init__(self, datasheet: Datasheet, seed: int = 0):
+        super().__init__(datasheet, seed)
+        own = self.numbers(datasheet.task)
+        self.GAIN, self.ACCELERATION, self._brake = (own[name] for name in self.RANGES)
+
+    def limit(self, axis: Axis) -> float:
+        """Return the velocity of an action of 1."""
+        return axis.speed
+
+    def wanted(self, distance: float, axis: Axis) -> float:
+        """Return the velocity in proportion to the distance, or by the braking curve if less."""
+        curve = math.sqrt(2.0 * self._brake * axis.profile.acceleration * abs(distance))
+        return math.copysign(min(self.GAIN * abs(distance), curve), distance)
