@@ -26,17 +26,23 @@ from . import repeat
 
 PAGE = Path("docs", "results", "repeat.md")
 OWN = re.compile(  # the command of a page, the last one on it
-    r"^```sh\n((?:servogym|python) [^\n#]*[^\n# ])[^\n]*\n```$"
+    r"^```sh\n((?:servogym|python) [^\n#]*[^\n# ])[^\n]*\n```$"  # alone in its block
+    r"|^(python [^\n#]* docs/results/\w+\.md)$"  # one of several, which names the page
     r"|`(servogym [^`]+)`, which wrote this page", re.M,
 )
+TESTED = re.compile(r"`(tests/[\w/]+\.py)`\s+writes\s+this\s+page")
+AGAIN = "SERVOGYM_WRITE=1 python -m pytest "  # a test that compares a page also writes it
+CPU = "CPU (s)"  # a column of a campaign's table
 HEADING = ("result", "command", "CPU-seconds", "load", "the same again")
 NOTES = """*CPU-seconds* are those of the process and its children, all threads together, with start
 and import. A command takes up to twice as many on a loaded machine; *load* is the load average when
 it ended. *The same again* says whether the command wrote the committed files once more, byte by
 byte (of `tuned.json` the entry of the row). Trainings state their processor time in their
-checkpoints. The command of the leaderboard plays every entry of the suite again. Commands that
-begin with `python` play campaigns of machines and buses, which are not rows of the benchmark; they
-are not repeated here."""
+checkpoints. The command of the leaderboard plays every entry of the suite again. Commands of
+`python` play campaigns of machines and buses, which are not rows of the benchmark, or write a page
+from the rows of one. They are not repeated here. *In its rows* is the processor time that the rows
+of a campaign state: that of the tuning or the fit itself, without what surrounds it. A page that
+the tests write is compared in every run of the tests."""
 
 
 class Result(NamedTuple):
@@ -56,10 +62,12 @@ def results(root: Path) -> list[Result]:
     found = []
     for path in sorted((root / PAGE.parent).glob("*.md")):
         if path != root / PAGE:
-            commands = OWN.findall(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            commands = ["".join(groups) for groups in OWN.findall(text)]
+            commands += [AGAIN + file for file in TESTED.findall(text)]
             data = path.with_suffix(".json")  # beside a page that has words of its own
             source = data if data.is_file() else path
-            found.append((source, "".join(commands[-1]) if commands else ""))
+            found.append((source, commands[-1] if commands else ""))
     policies = root / "assets" / "policies"
     for path in sorted(policies.glob("*/*.json")):
         if command := foreign.table(path).get("command"):
@@ -147,6 +155,23 @@ def _within(part: Any, whole: Any) -> bool:
     return bool(part == whole)
 
 
+def in_rows(root: Path, one: Result) -> float:
+    """Return the processor time that the rows of a campaign state (s); 0 if they state none.
+
+    The rows are those of the table of its page, or of a file of JSON lines that its command names.
+    """
+    seconds: list[float] = []
+    for name in re.findall(r"\S+\.jsonl", one.command):
+        lines = (root / name).read_text(encoding="utf-8").splitlines()
+        seconds += [json.loads(line).get("cpu", 0.0) for line in lines]
+    table: list[list[str]] = []
+    for line in (root / one.file).read_text(encoding="utf-8").splitlines():
+        table = [*table, line.split(" | ")] if line.startswith("| ") else []
+        if len(table) > 2 and CPU in table[0]:
+            seconds.append(float(table[-1][table[0].index(CPU)]))
+    return math.fsum(seconds)
+
+
 def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
     """The table of all results, with the sum."""
     rows, commands = [], set()
@@ -154,12 +179,18 @@ def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
         own = known.get(one.command)
         first = one.command not in commands
         commands.add(one.command)
-        cost = ["written by hand", "", ""] if not one.command else ["not measured", "", ""]
-        if own and first:
+        cost = ["not measured", "", ""]
+        if not one.command:
+            cost = ["written by hand", "", ""]
+        elif one.command.startswith(AGAIN):
+            cost = ["by the tests", "", "yes"]
+        elif own and first:
             same = "yes" if own["same"] else "no"
             cost = [number(own["cpu_seconds"]), f"{own.get('load', '–')}", same]
         elif own:
             cost = ["see above", "", ""]
+        elif seconds := in_rows(root, one):
+            cost = [f"{seconds:.0f} in its rows", "", ""]
         rows.append([f"`{one.file}`", f"`{one.command}`" if one.command else "–", *cost])
     trainings = repeat.plan(root / "assets" / "policies", Path("out"))
     for task in dict.fromkeys(each.task for each in trainings):
@@ -169,14 +200,16 @@ def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
         place = f"`assets/policies/{task}/seed_*`"
         rows.append([place, "`servogym results --train out/again`", f"{most}{took:.0f}", "", ""])
     measured = math.fsum(known[command]["cpu_seconds"] for command in commands if command in known)
-    missing = sum(1 for command in commands if command and command not in known)
+    unknown = {one.command: in_rows(root, one) for one in every if one.command not in known}
+    campaigns = [took for each, took in unknown.items() if each and not each.startswith(AGAIN)]
     trained = sum(each.cpu_seconds for each in trainings)
     total = measured + trained
     text = (
         f"{markdown(HEADING, rows)}\nThe {len(commands & known.keys())} measured commands took "
         f"{measured:.0f} CPU-seconds and the trainings at most {trained:.0f}, together "
         f"{total / 60 / repeat.CORES:.0f} minutes of {repeat.CORES} cores. "
-        f"{missing} commands were not measured.\n"
+        f"Of the other {len(campaigns)} commands, {sum(took == 0.0 for took in campaigns)} were "
+        f"not measured; the rows of the rest state {math.fsum(campaigns):.0f} CPU-seconds.\n"
     )
     return (
         f"# What it takes to repeat the results\n\n{text}\n{NOTES}\n\n`servogym results --costs` "
