@@ -39,6 +39,30 @@ def test_what_was_measured_and_the_trainings_take_less_than_two_hours_of_two_cor
     assert total + sum(one.cpu_seconds for one in trained) <= TWO_HOURS * repeat.CORES
 
 
+def test_a_page_that_a_command_or_a_test_writes_names_it():
+    """Written by hand are those that nothing in the checkout writes."""
+    commands = {Path(one.file).stem: one.command for one in costs.results(ROOT)}
+    by_hand = {"attempts", "costs", "foreign_eds", "learned", "panel"}
+    assert {name for name, command in commands.items() if not command} == by_hand
+    for name, command in commands.items():
+        scripts = re.findall(r"tests/\S+\.py", command)
+        assert bool(scripts) == ("python" in command)
+        assert all((ROOT / script).is_file() for script in scripts), name
+    sources = "".join(p.read_text("utf-8") for p in (ROOT / "tests").rglob("*.py"))
+    for name in by_hand:
+        assert not re.search(rf'PAGE = .*"{name}\.md"', sources), name
+
+
+def test_the_rows_of_a_campaign_state_what_they_took(tmp_path):
+    lines = ("| CPU (s) | reached |", "| ---: | ---: |", "| 1.5 | yes |", "| 2.0 | no |")
+    page = "# Tuning\n\n| other |\n| --- |\n| 5 |\n\n" + "\n".join(lines) + "\n\nEnd.\n"
+    (tmp_path / "page.md").write_text(page, encoding="utf-8")
+    (tmp_path / "rows.jsonl").write_text('{"cpu": 4.0}\n{"cpu": 0.5}\n{}\n', encoding="utf-8")
+    commands = "python play.py page.md", "python play.py rows.jsonl page.md", "", "servogym"
+    took = [costs.in_rows(tmp_path, costs.Result("page.md", command)) for command in commands]
+    assert took == [3.5, 8.0, 0.0, 0.0]
+
+
 COMMAND = "servogym compare LinearAxis-v0 --policies hold --drive generic --episodes 1 --seed 0"
 
 

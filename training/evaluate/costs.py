@@ -160,13 +160,16 @@ def in_rows(root: Path, one: Result) -> float:
 
     The rows are those of the table of its page, or of a file of JSON lines that its command names.
     """
+    if not one.command.startswith("python "):
+        return 0.0
     seconds: list[float] = []
     for name in re.findall(r"\S+\.jsonl", one.command):
         lines = (root / name).read_text(encoding="utf-8").splitlines()
         seconds += [json.loads(line).get("cpu", 0.0) for line in lines]
     table: list[list[str]] = []
     for line in (root / one.file).read_text(encoding="utf-8").splitlines():
-        table = [*table, line.split(" | ")] if line.startswith("| ") else []
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        table = [*table, cells] if line.startswith("|") else []
         if len(table) > 2 and CPU in table[0]:
             seconds.append(float(table[-1][table[0].index(CPU)]))
     return math.fsum(seconds)
