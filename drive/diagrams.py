@@ -5,7 +5,7 @@ Tables for those who show a drive to people and need nothing of its cycle.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .kernel.device_control import TRANSITIONS, Event
 from .kernel.encoder import Event as Edge
@@ -24,9 +24,9 @@ from .kernel.words import (
     State,
     Statusword,
     abbreviation,
-    bit_4,
-    mode_bits,
+    controlword_names,
     state_of,
+    statusword_names,
 )
 
 __all__ = [
@@ -80,59 +80,52 @@ def transitions() -> tuple[Transition, ...]:
     return tuple(found)
 
 
-STATUS_MEANINGS = (
-    (Statusword.READY_TO_SWITCH_ON, "the drive may be switched on"),
-    (Statusword.SWITCHED_ON, "the power stage is ready"),
-    (Statusword.OPERATION_ENABLED, "set-points are obeyed"),
-    (Statusword.FAULT, "a fault has stopped the drive, or is stopping it"),
-    (Statusword.VOLTAGE_ENABLED, "high voltage is applied to the drive"),
-    (Statusword.QUICK_STOP, "0: a quick stop is active"),
-    (Statusword.SWITCH_ON_DISABLED, "the drive may not be switched on before a shutdown"),
-    (Statusword.WARNING, "a warning is present; operation goes on"),
-    (Statusword.MANUFACTURER_8, "of the manufacturer"),
-    (Statusword.REMOTE, "the controlword is obeyed"),
-    (Statusword.TARGET_REACHED, "of the mode"),
-    (Statusword.INTERNAL_LIMIT_ACTIVE, "a limit acts: switch, position, torque or speed"),
-    (Statusword.MODE_12, "of the mode"),
-    (Statusword.MODE_13, "of the mode"),
-    (Statusword.MANUFACTURER_14, "of the manufacturer"),
-    (Statusword.MANUFACTURER_15, "of the manufacturer"),
-)
+STATUS_MEANINGS = {
+    Statusword.READY_TO_SWITCH_ON: "the drive may be switched on",
+    Statusword.SWITCHED_ON: "the power stage is ready",
+    Statusword.OPERATION_ENABLED: "set-points are obeyed",
+    Statusword.FAULT: "a fault has stopped the drive, or is stopping it",
+    Statusword.VOLTAGE_ENABLED: "high voltage is applied to the drive",
+    Statusword.QUICK_STOP: "0: a quick stop is active",
+    Statusword.SWITCH_ON_DISABLED: "the drive may not be switched on before a shutdown",
+    Statusword.WARNING: "a warning is present; operation goes on",
+    Statusword.MANUFACTURER_8: "of the manufacturer",
+    Statusword.REMOTE: "the controlword is obeyed",
+    Statusword.TARGET_REACHED: "of the mode",
+    Statusword.INTERNAL_LIMIT_ACTIVE: "a limit acts: switch, position, torque or speed",
+    Statusword.MODE_12: "of the mode",
+    Statusword.MODE_13: "of the mode",
+    Statusword.MANUFACTURER_14: "of the manufacturer",
+    Statusword.MANUFACTURER_15: "of the manufacturer",
+}
+CONTROL_MEANINGS = {
+    Controlword.SWITCH_ON: "1: switch on",
+    Controlword.ENABLE_VOLTAGE: "0: the power goes off",
+    Controlword.QUICK_STOP: "0: quick stop",
+    Controlword.ENABLE_OPERATION: "1: obey set-points",
+    Controlword.NEW_SET_POINT: "a rising edge starts it",
+    Controlword.FAULT_RESET: "a rising edge resets the fault",
+    Controlword.HALT: "1: stop and wait",
+}
 
 
 def statusword_bits(mode: int, own_modes: OwnModes = NONE_OWN) -> tuple[Bit, ...]:
     """The sixteen bits of 6041h in `mode` (6061h), bit 0 first; `own_modes` of the drive model."""
-    ten, twelve, thirteen = mode_bits(mode, own_modes)
-    own = {Statusword.TARGET_REACHED: ten, Statusword.MODE_12: twelve, Statusword.MODE_13: thirteen}
-    return tuple(
-        Bit(int(mask), own.get(mask, mask.name.lower()) or f"bit {mask.bit_length() - 1}", meaning)
-        for mask, meaning in STATUS_MEANINGS
-    )
+    return _bits(statusword_names(mode, own_modes), STATUS_MEANINGS)
 
 
 def controlword_bits(mode: int, own_modes: OwnModes = NONE_OWN) -> tuple[Bit, ...]:
     """The sixteen bits of 6040h in `mode` (6060h), bit 0 first; `own_modes` of the drive model."""
-    pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
-    four = bit_4(mode, own_modes)
-    named = {
-        Controlword.SWITCH_ON: ("switch_on", "1: switch on"),
-        Controlword.ENABLE_VOLTAGE: ("enable_voltage", "0: the power goes off"),
-        Controlword.QUICK_STOP: ("quick_stop", "0: quick stop"),
-        Controlword.ENABLE_OPERATION: ("enable_operation", "1: obey set-points"),
-        Controlword.NEW_SET_POINT: (four, "a rising edge starts it" if four else ""),
-        Controlword.CHANGE_SET_IMMEDIATELY: (
-            "change_set_immediately" if pp else "unlock_ramp" if vl else "", ""
-        ),
-        Controlword.RELATIVE: ("relative" if pp else "reference_ramp" if vl else "", ""),
-        Controlword.FAULT_RESET: ("fault_reset", "a rising edge resets the fault"),
-        Controlword.HALT: ("halt", "1: stop and wait"),
-        Controlword.CHANGE_ON_SET_POINT: ("change_on_set_point" if pp else "", ""),
-    }
-    bits = []
-    for n in range(16):
-        name, meaning = named.get(1 << n, ("", ""))  # type: ignore[call-overload]
-        bits.append(Bit(1 << n, name or f"bit {n}", meaning))
-    return tuple(bits)
+    return _bits(controlword_names(mode, own_modes), CONTROL_MEANINGS)
+
+
+def _bits(names: Mapping[Any, str], meanings: Mapping[Any, str]) -> tuple[Bit, ...]:
+    """Sixteen bits; one without a name in the mode has no meaning either."""
+    named = {1 << n: names.get(1 << n, "") for n in range(16)}
+    return tuple(
+        Bit(mask, name or f"bit {mask.bit_length() - 1}", meanings.get(mask, "") if name else "")
+        for mask, name in named.items()
+    )
 
 
 def limits(active: int) -> list[str]:

@@ -118,8 +118,7 @@ def run(axis: Axis):
         asked = contacts.command(axis, asked)
     permitted = _permitted(axis, asked)
     if permitted != asked:
-        axis.refused_command = asked
-        axis.refused_state = axis.state
+        _refuse(axis, asked)
     _command(axis, permitted)
 
 
@@ -160,9 +159,7 @@ def _reaction_cut_off(axis: Axis):
 @block
 def _may_finish(axis: Axis):
     """Before the power goes off after an orderly stop the brake has to hold the axis."""
-    if _quick_stop_stays(axis):
-        return True
-    return brake.gripped(axis)
+    return _quick_stop_stays(axis) or brake.gripped(axis)
 
 
 @block
@@ -181,11 +178,17 @@ def _apply(axis: Axis, event):
 
 
 @block
+def _refuse(axis: Axis, command):
+    """Note the command that was refused last, and in which state."""
+    axis.refused_command = command
+    axis.refused_state = axis.state
+
+
+@block
 def _command(axis: Axis, command):
     number = NUMBER[axis.state, command]
     if number < 0:
-        axis.refused_command = command
-        axis.refused_state = axis.state
+        _refuse(axis, command)
     elif number == 0:  # standing; a shutdown or disable ramp that was under way is called off
         braking = axis.stop == Stop.CURRENT_LIMIT  # nothing calls that off
         if axis.state == State.OPERATION_ENABLED and axis.pending_transition != 0 and not braking:
@@ -196,15 +199,13 @@ def _command(axis: Axis, command):
         _ramp_then(axis, command, int(axis.od.shutdown_option_code))
     elif number == 11:
         _apply(axis, command)
-        code = int(axis.od.quick_stop_option_code)
-        _stop_then(axis, 12, code)
+        _stop_then(axis, 12, int(axis.od.quick_stop_option_code))
     elif number == 16:
         if OPTION_STAYS[option(axis.od.quick_stop_option_code)]:
             _apply(axis, command)
             _resume(axis)
         else:
-            axis.refused_command = command
-            axis.refused_state = axis.state
+            _refuse(axis, command)
     else:
         _apply(axis, command)
         if not energised(axis):
@@ -276,8 +277,7 @@ def _reset_fault(axis: Axis):
     age = (axis.cycle_count - axis.fault_cycle) * axis.position_period * 1e3
     locked = age < axis.reset_lock
     if axis.state != State.FAULT or axis.faults_present & ~axis.warnings or locked:
-        axis.refused_command = Command.FAULT_RESET
-        axis.refused_state = axis.state
+        _refuse(axis, Command.FAULT_RESET)
         return
     _apply(axis, Event.FAULT_RESET)
     axis.fault = Cause.NONE

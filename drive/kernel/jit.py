@@ -11,14 +11,18 @@ release that was not tested, or with ``SERVOGYM_PLAIN_NUMBA=1``, both are ``numb
 else of Numba: the same results, but all is compiled anew in each process, minutes for a machine.
 """
 
+import linecache
 import os
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numba
 
 from .code_cache import cache_directory, say
 
-__all__ = ["DISABLED", "PLAIN", "TESTED", "block", "cache_directory", "entry", "rare"]
+__all__ = [
+    "DISABLED", "PLAIN", "TESTED", "block", "block_of_lines", "cache_directory", "entry", "rare",
+]
 
 TESTED = "0.68"  # releases of Numba whose inner names `dispatchers` and its like are written for
 DISABLED = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
@@ -60,3 +64,18 @@ elif PLAIN:
     block, rare, entry = _plain, _plain, _plain  # type: ignore[assignment]
 else:
     from .dispatchers import block, entry, rare
+
+
+def block_of_lines(
+    name: str, arguments: str, lines: Iterable[str], names: dict[str, Any]
+) -> Callable[..., Any]:
+    """A block from the lines of its body, which a table has made; they see `names`.
+
+    They are ordinary source: a traceback, a debugger and `inspect.getsource` show them, and without
+    JIT they run line by line.
+    """
+    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in lines)
+    file = f"<servogym {names['__name__']}.{name}>"
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
+    exec(compile(source, file, "exec"), names)
+    return block(names[name])

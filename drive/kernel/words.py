@@ -6,7 +6,7 @@ the mode chapters (bits 4-6, 8-9 of the controlword, 10, 12, 13 of the statuswor
 
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class State(IntEnum):
@@ -192,7 +192,7 @@ class ManufacturerStatus(IntEnum):
 
 
 # statusword bits 10, 12, 13 by mode (mode chapters of CiA 402-2)
-MODE_BITS = {
+MODE_BITS: dict[int, tuple[str, str, str]] = {
     Mode.PROFILE_POSITION: ("target_reached", "set_point_acknowledge", "following_error"),
     Mode.VELOCITY: ("target_reached", "", ""),
     Mode.PROFILE_VELOCITY: ("target_reached", "speed_is_zero", "max_slippage_error"),
@@ -204,28 +204,30 @@ MODE_BITS = {
     Mode.CYCLIC_SYNC_TORQUE: ("", "drive_follows_command", ""),
 }
 
-# controlword bit 4 by mode
-BIT_4 = {
-    Mode.PROFILE_POSITION: "new_set_point",
-    Mode.VELOCITY: "enable_ramp",
-    Mode.HOMING: "homing_operation_start",
-    Mode.INTERPOLATED_POSITION: "enable_ip_mode",
+STATE_BITS = 0x6F  # of the statusword: the state, see `STATE_PATTERN`
+COMMAND_BITS = 0x0F  # of the controlword: the command, see `COMMANDS`
+
+# controlword bits 4, 5, 6 and 9 by mode
+CONTROLWORD_OF_MODE: dict[Controlword, dict[int, str]] = {
+    Controlword.NEW_SET_POINT: {
+        Mode.PROFILE_POSITION: "new_set_point", Mode.VELOCITY: "enable_ramp",
+        Mode.HOMING: "homing_operation_start", Mode.INTERPOLATED_POSITION: "enable_ip_mode",
+    },
+    Controlword.CHANGE_SET_IMMEDIATELY: {
+        Mode.PROFILE_POSITION: "change_set_immediately", Mode.VELOCITY: "unlock_ramp",
+    },
+    Controlword.RELATIVE: {Mode.PROFILE_POSITION: "relative", Mode.VELOCITY: "reference_ramp"},
+    Controlword.CHANGE_ON_SET_POINT: {Mode.PROFILE_POSITION: "change_on_set_point"},
 }
 
 
-def mode_bits(mode: int, own: OwnModes = NONE_OWN) -> tuple[str, str, str]:
-    """Names of the statusword bits 10, 12 and 13 in a mode, `own` are those of the drive model."""
-    return own[mode].bits if mode in own else MODE_BITS.get(mode, ("", "", ""))  # type: ignore
-
-
-def bit_4(mode: int, own: OwnModes = NONE_OWN) -> str:
-    """Name of controlword bit 4 in a mode, empty where it has none."""
-    return own[mode].bit_4 if mode in own else BIT_4.get(mode, "")  # type: ignore[call-overload]
+_STATUSWORD = {bit: bit.name.lower() for bit in Statusword}
+_CONTROLWORD = {bit: bit.name.lower() for bit in Controlword}
 
 
 def command_of(controlword: int) -> Command:
     """The device control command in bits 0-3 of a controlword (without the fault reset edge)."""
-    return Command(COMMANDS[controlword & 0x0F])
+    return Command(COMMANDS[controlword & COMMAND_BITS])
 
 
 def state_of(statusword: int) -> State | None:
@@ -236,49 +238,51 @@ def state_of(statusword: int) -> State | None:
     return None
 
 
+def statusword_names(mode: int, own: OwnModes = NONE_OWN) -> dict[Statusword, str]:
+    """Names of the statusword's bits; bits 10, 12 and 13 have that of `mode` (6061h), if any.
+
+    `own` are the modes of the drive model.
+    """
+    by_mode = own[mode].bits if mode in own else MODE_BITS.get(mode, ("", "", ""))
+    bits = Statusword.TARGET_REACHED, Statusword.MODE_12, Statusword.MODE_13
+    return _STATUSWORD | dict(zip(bits, by_mode, strict=True))
+
+
+def controlword_names(mode: int, own: OwnModes = NONE_OWN) -> dict[Controlword, str]:
+    """Names of the controlword's bits; bits 4, 5, 6 and 9 have that of `mode` (6060h), if any.
+
+    `own` are the modes of the drive model.
+    """
+    by_mode = {bit: names.get(mode, "") for bit, names in CONTROLWORD_OF_MODE.items()}
+    if mode in own:
+        by_mode[Controlword.NEW_SET_POINT] = own[mode].bit_4
+    return _CONTROLWORD | by_mode
+
+
+def _set_bits(word: int, names: Mapping[Any, str], pattern: int) -> list[str]:
+    """Names of the bits that are set in a word outside of a pattern."""
+    return [
+        name or f"bit_{bit.bit_length() - 1}"
+        for bit, name in names.items() if word & bit & ~pattern
+    ]
+
+
 def decode_statusword(statusword: int, mode: int = 0, own: OwnModes = NONE_OWN) -> list[str]:
     """Names of what a statusword says: the state first, then every set bit outside the pattern.
 
     Bits 10, 12 and 13 carry the name they have in `mode` (6061h), which `own` has or the standard.
     """
     state = state_of(statusword)
-    names = [state.name if state is not None else "INVALID"]
-    ten, twelve, thirteen = mode_bits(mode, own)
-    for mask, name in (
-        (Statusword.VOLTAGE_ENABLED, "voltage_enabled"),
-        (Statusword.WARNING, "warning"),
-        (Statusword.MANUFACTURER_8, "manufacturer_8"),
-        (Statusword.REMOTE, "remote"),
-        (Statusword.TARGET_REACHED, ten or "bit_10"),
-        (Statusword.INTERNAL_LIMIT_ACTIVE, "internal_limit_active"),
-        (Statusword.MODE_12, twelve or "bit_12"),
-        (Statusword.MODE_13, thirteen or "bit_13"),
-        (Statusword.MANUFACTURER_14, "manufacturer_14"),
-        (Statusword.MANUFACTURER_15, "manufacturer_15"),
-    ):
-        if statusword & mask:
-            names.append(name)
-    return names
+    return [
+        state.name if state is not None else "INVALID",
+        *_set_bits(statusword, statusword_names(mode, own), STATE_BITS),
+    ]
 
 
 def decode_controlword(controlword: int, mode: int = 0, own: OwnModes = NONE_OWN) -> list[str]:
     """Names of what a controlword asks for: the command first, then every further set bit."""
-    names = [command_of(controlword).name]
-    pp, vl = mode == Mode.PROFILE_POSITION, mode == Mode.VELOCITY
-    for mask, name in (
-        (Controlword.NEW_SET_POINT, bit_4(mode, own)),
-        (
-            Controlword.CHANGE_SET_IMMEDIATELY,
-            "change_set_immediately" if pp else "unlock_ramp" if vl else None,
-        ),
-        (Controlword.RELATIVE, "relative" if pp else "reference_ramp" if vl else None),
-        (Controlword.FAULT_RESET, "fault_reset"),
-        (Controlword.HALT, "halt"),
-        (Controlword.CHANGE_ON_SET_POINT, "change_on_set_point" if pp else None),
-    ):
-        if controlword & mask:
-            names.append(name or f"bit_{mask.bit_length() - 1}")
-    return names
+    further = _set_bits(controlword, controlword_names(mode, own), COMMAND_BITS)
+    return [command_of(controlword).name, *further]
 
 
 def _command(bits: int) -> Command:

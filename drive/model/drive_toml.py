@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel import record
 from ..kernel.process_data import MAX_BITS
-from ..kernel.record import FIELDS, OD
+from ..kernel.record import OD
 from . import foreign
 from .names import hint
 
 # Departures from the standard a model may declare: fields of the record that the kernel reads, and
 # flags of the Python around it.
-_FIRST = [name for name, *_ in FIELDS].index("older_factor_group")
-_LAST = [name for name, *_ in FIELDS].index("history_depth")
-KERNEL_QUIRKS = tuple(name for name, *_ in FIELDS[_FIRST : _LAST + 1])
-QUIRKS = {name: text for name, _, _, text, *_ in FIELDS if name in KERNEL_QUIRKS} | {
+KERNEL_QUIRKS = tuple(name for name, *_ in record.QUIRKS)
+QUIRKS = {name: meaning for name, _, _, meaning in record.QUIRKS} | {
     "load_at_once": "1: 1011h acts at once and needs the power stage off",
     "pdo_needs_stop": "1: PDO parameters may only change outside NMT operational",
     "cyclic_event": "1: transmission type 254 sends with the inhibit time as period",

@@ -5,9 +5,9 @@ SII, ESI, 1C00h and the AL state machine are made from it; objects and PDOs are 
 
 import base64
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from . import foreign
 from .rows import Object
@@ -17,7 +17,6 @@ PROTOCOLS = ("AoE", "EoE", "CoE", "FoE", "SoE", "VoE")  # a bit of word 1Ch of t
 DATA_LINK_LAYER, IDENTIFICATION = 0x04, 0x08
 MAILBOX_HEADER = 16  # bytes before the data of a normal SDO: the shortest mailbox has more
 SII_HEADER = 128  # bytes of an EEPROM before its categories
-MAPPABLE = [4, 4]  # Kollmorgen AKD 5.5
 MEMORY = 0x1000, 0x3000  # process data memory of the slave controller, first and behind
 
 
@@ -30,54 +29,78 @@ class DcMode:
     cycle_factor0: int = 0  # of SYNC0: periods of the bus
 
 
+class Key(NamedTuple):
+    """Where a value stands in the file, and what it may be."""
+
+    table: str  # "" for the file itself
+    name: str
+    kind: type
+    default: Any = None  # None: the key has to be there
+    numbers: int | None = None  # how many a list has; 0: any number of them
+
+
+def _key(table: str, name: str, kind: type, default: Any = None, numbers: int | None = None) -> Any:
+    """A field of a dataclass that is read from the file."""
+    return field(metadata={"key": Key(table, name, kind, default, numbers)})
+
+
 @dataclass(frozen=True)
 class Al:
     """How the state machine departs from the standard's."""
 
-    bootstrap: bool = True
-    by_edge: bool = False  # bit 4 of AL Control acknowledges by its rising edge only
-    init_acknowledges: bool = True  # a request of INIT acknowledges without bit 4
-    codes: dict[str, int] = field(default_factory=dict)  # own numbers, by name of `AlStatusCode`
+    bootstrap: bool = _key("al", "bootstrap", bool, True)
+    # bit 4 of AL Control acknowledges by its rising edge only
+    by_edge: bool = _key("al", "by_edge", bool, False)
+    # a request of INIT acknowledges without bit 4
+    init_acknowledges: bool = _key("al", "init_acknowledges", bool, True)
+    codes: dict[str, int] = _key("al", "codes", dict, {})  # own numbers, by name of `AlStatusCode`
 
 
 @dataclass(frozen=True)
 class EtherCat:
     """A model on EtherCAT; mailboxes are start and length of out, start and length of in."""
 
-    name: str
-    order: str
-    group: str
-    vendor: str
-    mailbox: tuple[int, int, int, int]
-    bootstrap: tuple[int, int, int, int]
-    shortest: int  # bytes of a mailbox that a master may choose
-    protocols: tuple[str, ...]
-    coe_details: int  # 1 SDO, 2 information, 4 assignment, 8 mapping, 20h complete access
-    start: tuple[int, int]  # of outputs and inputs
-    length: int  # bytes, at most, of each
-    control: tuple[int, int]  # control byte of sync managers 2 and 3
-    mailbox_control: tuple[int, int]  # and of 0 and 1
-    fmmu: tuple[int, ...]
-    sii_size: int  # bytes
-    sii_version: int
-    pdi_control: int
-    pdi_configuration: int
-    strings: tuple[tuple[int, str], ...]  # categories of the vendor
-    eoe_details: int  # of the category general
-    flags: int  # of the category general
-    ds402_channels: int  # of the category general
-    image: bytes  # of the maker's EEPROM; empty: it is made from the model
-    registers: dict[int, bytes]  # of the slave controller, by address
-    cycle_ns: int  # shortest cycle with SYNC0; all are multiples of it
-    exact_period: bool  # the cycle has to be that of 60C2h
-    late_limit: int  # set-points that may be missed one after the other, 0: any number
-    error_settings: bool  # 10F1h
-    hop_delay_ns: int  # from one port to the other
-    modes: tuple[DcMode, ...]
-    al: Al
-    mappable: tuple[int, int]  # RPDOs and TPDOs that a master may map; they come first
-    fixed_alone: bool  # a PDO that cannot be mapped is assigned without another
-    excludes: dict[int, tuple[int, ...]]  # PDO -> those it cannot be assigned with
+    name: str = _key("", "name", str)
+    order: str = _key("", "order", str)
+    group: str = _key("", "group", str)
+    vendor: str = _key("", "vendor", str)
+    without: tuple[str, ...] = _key("", "without", list, [])  # objects on CAN only, as "1005h"
+    registers: dict[int, bytes] = _key("", "registers", dict, {})  # of the slave controller
+    mailbox: tuple[int, int, int, int] = _key("mailbox", "standard", list, numbers=4)
+    bootstrap: tuple[int, int, int, int] = _key("mailbox", "bootstrap", list, numbers=4)
+    shortest: int = _key("mailbox", "shortest", int)  # bytes of a mailbox that a master may choose
+    protocols: tuple[str, ...] = _key("mailbox", "protocols", list)
+    # 1 SDO, 2 information, 4 assignment, 8 mapping, 20h complete access
+    coe_details: int = _key("mailbox", "coe_details", int)
+    start: tuple[int, int] = _key("process_data", "start", list, numbers=2)  # of outputs and inputs
+    length: int = _key("process_data", "length", int)  # bytes, at most, of each
+    # control bytes of sync managers 2 and 3, and of 0 and 1
+    control: tuple[int, int] = _key("process_data", "control", list, numbers=2)
+    mailbox_control: tuple[int, int] = _key("process_data", "mailbox_control", list, numbers=2)
+    fmmu: tuple[int, ...] = _key("process_data", "fmmu", list, numbers=0)
+    sii_size: int = _key("sii", "size", int)  # bytes
+    sii_version: int = _key("sii", "version", int, 1)
+    pdi_control: int = _key("sii", "pdi_control", int, 0)
+    pdi_configuration: int = _key("sii", "pdi_configuration", int, 0)
+    strings: tuple[tuple[int, str], ...] = _key("sii", "strings", dict, {})  # vendor's categories
+    # of the category general; details without a value say whether there is EoE
+    eoe_details: int = _key("sii", "eoe_details", int, -1)
+    flags: int = _key("sii", "flags", int, DATA_LINK_LAYER | IDENTIFICATION)
+    ds402_channels: int = _key("sii", "ds402_channels", int, 0)
+    image: bytes = _key("sii", "image", str, "")  # of the maker's EEPROM; empty: from the model
+    cycle_ns: int = _key("dc", "cycle_ns", int)  # shortest cycle with SYNC0; all are multiples
+    exact_period: bool = _key("dc", "exact_period", bool, False)  # the cycle has to be 60C2h
+    # set-points that may be missed one after the other, 0: any number
+    late_limit: int = _key("dc", "late_limit", int, 0)
+    error_settings: bool = _key("dc", "error_settings", bool, False)  # 10F1h
+    hop_delay_ns: int = _key("dc", "hop_delay_ns", int)  # from one port to the other
+    modes: tuple[DcMode, ...] = _key("dc", "modes", list)
+    # RPDOs and TPDOs that a master may map; they come first (Kollmorgen AKD 5.5)
+    mappable: tuple[int, int] = _key("pdo", "mappable", list, [4, 4], numbers=2)
+    # whether a PDO that cannot be mapped is assigned without another
+    fixed_alone: bool = _key("pdo", "fixed_alone", bool, True)
+    excludes: dict[int, tuple[int, ...]] = _key("pdo", "excludes", dict, {})
+    al: Al = field(default_factory=Al)
 
     @property
     def complete_access(self) -> bool:
@@ -90,18 +113,8 @@ class EtherCat:
         return bool(self.coe_details & 0x02)
 
 
-TABLES: dict[str, tuple[str, ...]] = {
-    "": ("name", "order", "group", "vendor", "without"),
-    "mailbox": ("standard", "bootstrap", "shortest", "protocols", "coe_details"),
-    "process_data": ("start", "length", "control", "mailbox_control", "fmmu"),
-    "sii": (
-        "size", "version", "pdi_control", "pdi_configuration", "strings", "eoe_details", "flags",
-        "ds402_channels", "image",
-    ),
-    "pdo": ("mappable", "fixed_alone", "excludes"),
-    "dc": ("cycle_ns", "exact_period", "late_limit", "hop_delay_ns", "error_settings", "modes"),
-    "al": ("bootstrap", "by_edge", "init_acknowledges", "codes"),
-}
+KEYS = [of.metadata["key"] for kind in (EtherCat, Al) for of in fields(kind) if of.metadata]
+TABLES = {key.table: [each.name for each in KEYS if each.table == key.table] for key in KEYS}
 
 
 class _Reader:
@@ -117,37 +130,38 @@ class _Reader:
             found = self.data.get(table, {}) if table else self.data
             if not isinstance(found, dict):
                 raise self.error(f"[{table}] is not a table")
-            known = (*keys, *TABLES, "registers") if not table else keys
+            known = keys if table else [*keys, *filter(None, TABLES)]
             for key in found:
                 if key not in known:
                     place = f"{table}.{key}" if table else key
-                    raise self.error(f"{place} is unknown, use of {', '.join(filter(None, known))}")
+                    raise self.error(f"{place} is unknown, use of {', '.join(known)}")
 
     def error(self, text: str) -> ValueError:
         """A refusal that names the file."""
         return ValueError(f"{self.path}: {text}")
 
-    def get(self, table: str, key: str, kind: type, default: Any = None) -> Any:
-        """A value of a type; without a default it has to be there."""
-        found = self.data.get(table, {}) if table else self.data
-        value = found.get(key, default)
-        right = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-        if not right or (kind is int and not 0 <= value < 1 << 32):
-            place = f"{table}.{key}" if table else key
-            what = "a whole number of 0 or more" if kind is int else f"of type {kind.__name__}"
+    def get(self, key: Key) -> Any:
+        """The value of a key; a list of numbers as a tuple."""
+        found = self.data.get(key.table, {}) if key.table else self.data
+        value = found.get(key.name, key.default)
+        place = f"{key.table}.{key.name}" if key.table else key.name
+        right = isinstance(value, key.kind) and (key.kind is bool or not isinstance(value, bool))
+        if not right or (key.kind is int and key.name in found and not 0 <= value < 1 << 32):
+            number = key.kind is int
+            what = "a whole number of 0 or more" if number else f"of type {key.kind.__name__}"
             raise self.error(f"{place} = {value!r} is not {what}")
-        return value
+        if key.numbers is None:
+            return value
+        right = all(isinstance(v, int) and 0 <= v <= 0xFFFF for v in value)
+        if not right or key.numbers not in (0, len(value)):
+            wanted = f"{key.numbers} numbers" if key.numbers else "numbers"
+            raise self.error(f"{place} = {value!r} is not a list of {wanted} 0..FFFFh")
+        return tuple(value)
 
-    def numbers(
-        self, table: str, key: str, count: int | None = None, default: list[int] | None = None
-    ) -> tuple[int, ...]:
-        """A list of numbers."""
-        values = self.get(table, key, list, default)
-        right = all(isinstance(v, int) and 0 <= v <= 0xFFFF for v in values)
-        if not right or (count is not None and len(values) != count):
-            wanted = "numbers" if count is None else f"{count} numbers"
-            raise self.error(f"{table}.{key} = {values!r} is not a list of {wanted} 0..FFFFh")
-        return tuple(values)
+    def values(self, kind: type) -> dict[str, Any]:
+        """The values of the fields of a dataclass."""
+        rows = [of for of in fields(kind) if of.metadata]
+        return {of.name: self.get(of.metadata["key"]) for of in rows}
 
     def keyed(self, table: dict[str, Any], place: str) -> dict[int, Any]:
         """A table whose keys are addresses."""
@@ -157,86 +171,58 @@ class _Reader:
             raise self.error(f"{place}: {error}") from None
 
 
-def read_ethercat(path: Path) -> tuple[EtherCat, tuple[str, ...]]:
-    """What a model is on EtherCAT, and the objects it does not have there (as "1005h").
-
-    Raises ValueError with file, key and reason.
-    """
+def read_ethercat(path: Path) -> EtherCat:
+    """What a model is on EtherCAT. Raises ValueError with file, key and reason."""
     reader = _Reader(path)
-    get, numbers = reader.get, reader.numbers
-    protocols = tuple(get("mailbox", "protocols", list))
-    for protocol in protocols:
+    found, al = reader.values(EtherCat), reader.values(Al)
+    for protocol in found["protocols"]:
         if protocol not in PROTOCOLS:
             raise reader.error(f"protocol {protocol!r} is unknown, use of {', '.join(PROTOCOLS)}")
+    for name, place in (("registers", "registers"), ("strings", "sii.strings"),
+                        ("excludes", "pdo.excludes")):
+        found[name] = reader.keyed(found[name], place)
+    for others in found["excludes"].values():
+        if not isinstance(others, list) or not all(type(other) is int for other in others):
+            raise reader.error(f"pdo.excludes: {others!r} is not a list of PDOs")
+    for place, values, kind in (
+        ("sii.strings", found["strings"].values(), str),
+        ("without", found["without"], str),
+        ("al.codes", al["codes"].values(), int),
+    ):
+        for value in values:
+            if not isinstance(value, kind):
+                raise reader.error(f"{place}: {value!r} is not of type {kind.__name__}")
+    if found["eoe_details"] < 0:
+        found["eoe_details"] = int("EoE" in found["protocols"])
+    ethercat = EtherCat(**found | {
+        "protocols": tuple(found["protocols"]),
+        "without": tuple(found["without"]),
+        "registers": _registers(reader, found["registers"]),
+        "strings": tuple(sorted(found["strings"].items())),
+        "image": _image(reader, found["image"]),
+        "modes": tuple(_mode(reader, row) for row in found["modes"]),
+        "excludes": {pdo: tuple(others) for pdo, others in found["excludes"].items()},
+        "al": Al(**al),
+    })
+    _check(reader, ethercat)
+    return ethercat
+
+
+def _registers(reader: _Reader, table: dict[int, Any]) -> dict[int, bytes]:
     registers = {}
-    for address, text in reader.keyed(get("", "registers", dict, {}), "registers").items():
+    for address, text in table.items():
         try:
             registers[address] = bytes.fromhex(text)
         except (TypeError, ValueError):
             raise reader.error(f"registers.{address:#06x} = {text!r} are not bytes") from None
         if not 0 <= address <= MEMORY[0] - len(registers[address]):
             raise reader.error(f"registers.{address:#06x} is not a register")
-    strings = reader.keyed(get("sii", "strings", dict, {}), "sii.strings")
-    without = tuple(get("", "without", list, []))
-    codes = get("al", "codes", dict, {})
-    excludes = reader.keyed(get("pdo", "excludes", dict, {}), "pdo.excludes")
-    for others in excludes.values():
-        if not isinstance(others, list) or not all(type(other) is int for other in others):
-            raise reader.error(f"pdo.excludes: {others!r} is not a list of PDOs")
-    for place, values, kind in (
-        ("sii.strings", strings.values(), str),
-        ("without", without, str),
-        ("al.codes", codes.values(), int),
-    ):
-        for value in values:
-            if not isinstance(value, kind):
-                raise reader.error(f"{place}: {value!r} is not of type {kind.__name__}")
-    ethercat = EtherCat(
-        name=get("", "name", str),
-        order=get("", "order", str),
-        group=get("", "group", str),
-        vendor=get("", "vendor", str),
-        mailbox=numbers("mailbox", "standard", 4),  # type: ignore[arg-type]
-        bootstrap=numbers("mailbox", "bootstrap", 4),  # type: ignore[arg-type]
-        shortest=get("mailbox", "shortest", int),
-        protocols=protocols,
-        coe_details=get("mailbox", "coe_details", int),
-        start=numbers("process_data", "start", 2),  # type: ignore[arg-type]
-        length=get("process_data", "length", int),
-        control=numbers("process_data", "control", 2),  # type: ignore[arg-type]
-        mailbox_control=numbers("process_data", "mailbox_control", 2),  # type: ignore[arg-type]
-        fmmu=numbers("process_data", "fmmu"),
-        sii_size=get("sii", "size", int),
-        sii_version=get("sii", "version", int, 1),
-        pdi_control=get("sii", "pdi_control", int, 0),
-        pdi_configuration=get("sii", "pdi_configuration", int, 0),
-        strings=tuple(sorted(strings.items())),
-        eoe_details=get("sii", "eoe_details", int, int("EoE" in protocols)),
-        flags=get("sii", "flags", int, DATA_LINK_LAYER | IDENTIFICATION),
-        ds402_channels=get("sii", "ds402_channels", int, 0),
-        image=_image(reader),
-        registers=registers,
-        cycle_ns=get("dc", "cycle_ns", int),
-        exact_period=get("dc", "exact_period", bool, False),
-        late_limit=get("dc", "late_limit", int, 0),
-        error_settings=get("dc", "error_settings", bool, False),
-        hop_delay_ns=get("dc", "hop_delay_ns", int),
-        modes=tuple(_mode(reader, row) for row in get("dc", "modes", list)),
-        al=Al(
-            bootstrap=get("al", "bootstrap", bool, True), by_edge=get("al", "by_edge", bool, False),
-            init_acknowledges=get("al", "init_acknowledges", bool, True), codes=codes,
-        ),
-        mappable=numbers("pdo", "mappable", 2, MAPPABLE),  # type: ignore[arg-type]
-        fixed_alone=get("pdo", "fixed_alone", bool, True),
-        excludes={pdo: tuple(others) for pdo, others in excludes.items()},
-    )
-    _check(reader, ethercat)
-    return ethercat, without
+    return registers
 
 
-def _image(reader: _Reader) -> bytes:
+def _image(reader: _Reader, text: str) -> bytes:
     try:
-        return base64.b64decode(reader.get("sii", "image", str, ""), validate=True)
+        return base64.b64decode(text, validate=True)
     except ValueError as error:
         raise reader.error(f"sii.image is not in base64: {error}") from None
 

@@ -310,7 +310,8 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
     ethercat, cells = None, _cells(folder)
     missing: tuple[str, ...] = ()
     if bus == "ethercat":
-        ethercat, missing = read_ethercat(file["ethercat.toml"])
+        ethercat = read_ethercat(file["ethercat.toml"])
+        missing = ethercat.without
         if file["ethercat_objects.csv"].exists():
             cells = referred(read_cells(file["ethercat_objects.csv"]), cells, {})
         if file["ethercat_pdo.csv"].exists():

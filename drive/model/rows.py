@@ -19,43 +19,25 @@ from ..kernel.process_data import parameter_place
 from ..kernel.record import FAULT_ROWS, OD, OWN_STORED, VENDOR_BYTES, Kind
 from . import foreign
 
-# data type of CiA 301 -> struct format; those that are kept as bytes have none
-FORMATS = {
-    "BOOLEAN": "B",
-    "INTEGER8": "b",
-    "INTEGER16": "h",
-    "INTEGER32": "i",
-    "INTEGER64": "q",
-    "UNSIGNED8": "B",
-    "UNSIGNED16": "H",
-    "UNSIGNED32": "I",
-    "UNSIGNED64": "Q",
-    "REAL32": "f",
-    "REAL64": "d",
-    "VISIBLE_STRING": "",
-    "OCTET_STRING": "",
-    "UNICODE_STRING": "",
-    "DOMAIN": "",
-    "TIME_OF_DAY": "",
-    "TIME_DIFFERENCE": "",
-    **{f"{kind}{bits}": "" for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
+# data type -> its number in CiA 301 and ETG.1020, and its format for `struct`; values without one
+# are kept as bytes, so many of them (0: a string)
+_TYPES: dict[str, tuple[int, str | int]] = {
+    "BOOLEAN": (0x01, "B"), "INTEGER8": (0x02, "b"), "INTEGER16": (0x03, "h"),
+    "INTEGER32": (0x04, "i"), "INTEGER64": (0x15, "q"), "UNSIGNED8": (0x05, "B"),
+    "UNSIGNED16": (0x06, "H"), "UNSIGNED32": (0x07, "I"), "UNSIGNED64": (0x1B, "Q"),
+    "REAL32": (0x08, "f"), "REAL64": (0x11, "d"), "VISIBLE_STRING": (0x09, 0),
+    "OCTET_STRING": (0x0A, 0), "UNICODE_STRING": (0x0B, 0), "DOMAIN": (0x0F, 0),
+    "TIME_OF_DAY": (0x0C, 6), "TIME_DIFFERENCE": (0x0D, 6), "INTEGER24": (0x10, 3),
+    "INTEGER40": (0x12, 5), "INTEGER48": (0x13, 6), "INTEGER56": (0x14, 7), "UNSIGNED24": (0x16, 3),
+    "UNSIGNED40": (0x18, 5), "UNSIGNED48": (0x19, 6), "UNSIGNED56": (0x1A, 7),
 }
-LENGTHS = {  # of those without a format that are not strings (bytes)
-    "TIME_OF_DAY": 6, "TIME_DIFFERENCE": 6,
-    **{f"{kind}{bits}": bits // 8 for kind in ("INTEGER", "UNSIGNED") for bits in (24, 40, 48, 56)},
-}
-DATA_TYPES = {  # numbers of CiA 301 and ETG.1020
-    "BOOLEAN": 0x01, "INTEGER8": 0x02, "INTEGER16": 0x03, "INTEGER32": 0x04, "UNSIGNED8": 0x05,
-    "UNSIGNED16": 0x06, "UNSIGNED32": 0x07, "REAL32": 0x08, "VISIBLE_STRING": 0x09,
-    "OCTET_STRING": 0x0A, "UNICODE_STRING": 0x0B, "TIME_OF_DAY": 0x0C, "TIME_DIFFERENCE": 0x0D,
-    "DOMAIN": 0x0F, "INTEGER24": 0x10, "REAL64": 0x11, "INTEGER40": 0x12, "INTEGER48": 0x13,
-    "INTEGER56": 0x14, "INTEGER64": 0x15, "UNSIGNED24": 0x16, "UNSIGNED40": 0x18,
-    "UNSIGNED48": 0x19, "UNSIGNED56": 0x1A, "UNSIGNED64": 0x1B,
-}
+DATA_TYPES = {name: number for name, (number, _) in _TYPES.items()}
+FORMATS = {name: kind if isinstance(kind, str) else "" for name, (_, kind) in _TYPES.items()}
+LENGTHS = {name: kind for name, (_, kind) in _TYPES.items() if isinstance(kind, int) and kind}
 REAL = ("f", "d")  # formats of numbers that are not whole
 TEXTS = ("VISIBLE_STRING", "DOMAIN")
 TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are not text
-SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "d": 8, "": 0}
+SIZES = {code: struct.calcsize(f"<{code}") for code in FORMATS.values()}
 # rows of an objects.csv by index and sub-index, each with the words "file, line n"
 Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
 ACCESS = ("ro", "wo", "rw", "const")

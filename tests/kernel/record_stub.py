@@ -23,6 +23,7 @@ from .quantity import Kind as Kind, Quantity as Quantity
 TAIL = """
 Row = tuple[str, str | tuple[str, tuple[int, ...]], str, str]
 OBJECTS: tuple[Quantity, ...]
+QUIRKS: tuple[Row, ...]
 FIELDS: tuple[Row, ...]
 PLACES: dict[str, int]
 RAD_S_PER_MINUTE: float

@@ -41,8 +41,9 @@ def receive(axis: Axis):
     axis.rated_torque = max(int(od.motor_rated_torque), 1) * 1e-3
     receive_rows(axis)
     ceiling = min(int(od.max_torque), int(od.max_current))
-    axis.torque_limit_positive = min(ceiling, int(od.positive_torque_limit)) * _per_mille(axis)
-    axis.torque_limit_negative = min(ceiling, int(od.negative_torque_limit)) * _per_mille(axis)
+    per_mille = axis.rated_torque * 1e-3
+    axis.torque_limit_positive = min(ceiling, int(od.positive_torque_limit)) * per_mille
+    axis.torque_limit_negative = min(ceiling, int(od.negative_torque_limit)) * per_mille
     _ends(axis)
     axis.max_profile_speed = min(axis.max_profile_speed, axis.max_speed)
     axis.profile_speed = min(axis.profile_speed, axis.max_profile_speed)
@@ -70,12 +71,6 @@ def receive(axis: Axis):
     axis.velocity_integral_gain = axis.velocity_gain / time if integrates else 0.0
     axis.torque_filter = lag(axis.torque_time_constant, axis.velocity_period)
     cascade.receive(axis)
-
-
-@block
-def _per_mille(axis: Axis):
-    """Torque (Nm) of one per mille of the rated torque."""
-    return axis.rated_torque * 1e-3
 
 
 @block

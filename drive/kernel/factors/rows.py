@@ -1,18 +1,15 @@
 """The rows of the table of quantities as code of the kernel: one line each.
 
 Numba needs a field by its name, so the lines are written from `record.OBJECTS` when this file is
-imported and compiled like any other function. They are ordinary source: a traceback, a debugger and
-`inspect.getsource` show them, and without JIT they run line by line.
+imported (`jit.block_of_lines`).
 """
 
-import linecache
 import math
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from ..jit import block
+from ..jit import block, block_of_lines
 from ..record import OBJECTS, PLACES, SIZES, Axis, Kind, Quantity
 from . import stored
 
@@ -41,15 +38,6 @@ RECEIVED = {  # how -> value in SI of `value` (SI) or, with a unit of its own, `
     "lag": "lag({value}, axis.velocity_period)",
     "slow lag": "lag({value}, axis.position_period)",
 }
-
-
-def made(name: str, arguments: str, lines: Iterable[str], names: dict[str, Any]) -> Callable:
-    """A block of the kernel from the lines of its body, which see `names`."""
-    source = f"def {name}({arguments}):\n    od = axis.od\n" + "".join(f"    {s}\n" for s in lines)
-    file = f"<servogym {name}>"
-    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
-    exec(compile(source, file, "exec"), names)
-    return block(names[name])
 
 
 def _elements(row: Quantity) -> Iterator[tuple[str, str, int]]:
@@ -151,6 +139,7 @@ def integer16(value):
     return int(math.floor(min(max(value, -32768.0), 32767.0) + 0.5))
 
 
-receive_rows = made("receive_rows", "axis", receive_lines(), globals())
-publish_rows = made("publish_rows", "axis", publish_lines(), globals())
-show_rows = made("show_rows", "axis, new", show_lines(), globals())
+_OD = "od = axis.od"
+receive_rows = block_of_lines("receive_rows", "axis", [_OD, *receive_lines()], globals())
+publish_rows = block_of_lines("publish_rows", "axis", [_OD, *publish_lines()], globals())
+show_rows = block_of_lines("show_rows", "axis, new", [_OD, *show_lines()], globals())

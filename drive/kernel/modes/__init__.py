@@ -1,21 +1,47 @@
 """Modes of operation: which one is active, and what it asks the cascade to do.
 
 Each mode is a file with three functions on the record: `start` takes the demand over where the last
-owner left it, `demand` makes the demand of one position cycle, `status` its statusword bits. Modes
-with negative numbers come with a drive model, see `own`.
+owner left it, `demand` makes the demand of one position cycle, `status` sets its statusword bits,
+which are 0 before. Modes with negative numbers come with a drive model, see `own`.
 """
+
+from collections.abc import Callable
 
 from .. import brake, homing, stop
 from ..cascade import energised
 from ..faults import Cause, raise_fault
 from ..homing import HomingError
-from ..jit import block
+from ..jit import block, block_of_lines
 from ..ramps import rest
 from ..stop import Stop
 from ..words import Controlword, Latched, Mode, State
 from . import csp, cst, csv, hm, ip, own, pp, pv, tq, vl
 
+MODES = {  # the most used ones first
+    Mode.PROFILE_POSITION: pp,
+    Mode.PROFILE_VELOCITY: pv,
+    Mode.HOMING: hm,
+    Mode.CYCLIC_SYNC_POSITION: csp,
+    Mode.CYCLIC_SYNC_VELOCITY: csv,
+    Mode.CYCLIC_SYNC_TORQUE: cst,
+    Mode.PROFILE_TORQUE: tq,
+    Mode.INTERPOLATED_POSITION: ip,
+    Mode.VELOCITY: vl,
+}
 LOWEST_MODE, HIGHEST_MODE = own.NUMBERS[0], int(max(Mode))
+
+
+def _of_active_mode(function: str) -> Callable:
+    """A block that calls `start`, `demand` or `status` of the active mode."""
+    lines: list[str] = []
+    for mode, file in MODES.items():
+        lines.append(f"{'elif' if lines else 'if'} axis.mode == {int(mode)}:")
+        lines.append(f"    {file.__name__.rpartition('.')[2]}.{function}(axis)")
+    lines += ["elif axis.mode < 0:", f"    own.call(axis, own.Step.{function.upper()})"]
+    return block_of_lines(f"_{function}", "axis", lines, globals())
+
+
+_start, _demand, _status = map(_of_active_mode, ("start", "demand", "status"))
 
 
 @block
@@ -47,7 +73,7 @@ def demand(axis):
             homing.abandon(axis, HomingError.INTERRUPTED)
             stop.demand(axis)
         elif not brake.waits(axis):
-            _demand_of_mode(axis, bit4)
+            _demand_of_mode(axis)
         elif axis.mode == Mode.HOMING:
             bit4 = 0  # the start is seen when the brake has let go
     axis.bit4 = bit4
@@ -94,51 +120,13 @@ def _halt(axis, controlword):
 
 
 @block
-def _demand_of_mode(axis, bit4):
-    starting = not axis.mode_started
-    axis.mode_started = 1
-    if axis.mode == Mode.PROFILE_POSITION:
-        if starting:
-            pp.start(axis)
-        pp.demand(axis)
-    elif axis.mode == Mode.PROFILE_VELOCITY:
-        if starting:
-            pv.start(axis)
-        pv.demand(axis)
-    elif axis.mode == Mode.HOMING:
-        if starting:
-            hm.start(axis)
-        hm.demand(axis, bit4)
-    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
-        if starting:
-            csp.start(axis)
-        csp.demand(axis)
-    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
-        if starting:
-            csv.start(axis)
-        csv.demand(axis)
-    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
-        if starting:
-            cst.start(axis)
-        cst.demand(axis)
-    elif axis.mode == Mode.PROFILE_TORQUE:
-        if starting:
-            tq.start(axis)
-        tq.demand(axis)
-    elif axis.mode == Mode.INTERPOLATED_POSITION:
-        if starting:
-            ip.start(axis)
-        ip.demand(axis, bit4)
-    elif axis.mode == Mode.VELOCITY:
-        if starting:
-            vl.start(axis)
-        vl.demand(axis)
-    elif axis.mode < 0:
-        if starting:
-            own.call(axis, own.Step.START)
-        own.call(axis, own.Step.DEMAND)
-    else:
-        axis.velocity_demand = 0.0  # no mode selected: hold
+def _demand_of_mode(axis):
+    if not axis.mode_started:
+        axis.mode_started = 1
+        _start(axis)
+    if axis.mode == Mode.NONE:
+        axis.velocity_demand = 0.0  # hold
+    _demand(axis)
 
 
 @block
@@ -147,29 +135,7 @@ def status(axis):
 
     In QUICK_STOP_ACTIVE bit 10 says in every mode that the stop is over (CiA 402-2, statusword).
     """
-    if axis.mode == Mode.PROFILE_POSITION:
-        pp.status(axis)
-    elif axis.mode == Mode.PROFILE_VELOCITY:
-        pv.status(axis)
-    elif axis.mode == Mode.HOMING:
-        hm.status(axis)
-    elif axis.mode == Mode.CYCLIC_SYNC_POSITION:
-        csp.status(axis)
-    elif axis.mode == Mode.CYCLIC_SYNC_VELOCITY:
-        csv.status(axis)
-    elif axis.mode == Mode.CYCLIC_SYNC_TORQUE:
-        cst.status(axis)
-    elif axis.mode == Mode.PROFILE_TORQUE:
-        tq.status(axis)
-    elif axis.mode == Mode.INTERPOLATED_POSITION:
-        ip.status(axis)
-    elif axis.mode == Mode.VELOCITY:
-        vl.status(axis)
-    else:
-        axis.mode_bit10 = 0
-        axis.mode_bit12 = 0
-        axis.mode_bit13 = 0
-        if axis.mode < 0:
-            own.call(axis, own.Step.STATUS)
+    axis.mode_bit10 = axis.mode_bit12 = axis.mode_bit13 = 0
+    _status(axis)
     if axis.state == State.QUICK_STOP_ACTIVE:
         axis.mode_bit10 = axis.standstill

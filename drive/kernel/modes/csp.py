@@ -143,6 +143,5 @@ def _bridged(axis: Axis, late):
 @block
 def status(axis: Axis):
     """Bit 10 is reserved; drive_follows_command, following_error."""
-    axis.mode_bit10 = 0
     axis.mode_bit12 = energised(axis) and axis.stop == Stop.NONE
     axis.mode_bit13 = axis.following_error_exceeded

@@ -24,7 +24,5 @@ def demand(axis):
 @block
 def status(axis):
     """Bits 10 and 13 are reserved; drive_follows_command."""
-    axis.mode_bit10 = 0
     follows = axis.stop == Stop.NONE and axis.control == Control.TORQUE
     axis.mode_bit12 = energised(axis) and follows
-    axis.mode_bit13 = 0

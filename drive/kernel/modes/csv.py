@@ -58,6 +58,4 @@ def demand(axis: Axis):
 @block
 def status(axis: Axis):
     """Bits 10 and 13 are reserved; drive_follows_command."""
-    axis.mode_bit10 = 0
     axis.mode_bit12 = energised(axis) and axis.stop == Stop.NONE
-    axis.mode_bit13 = 0

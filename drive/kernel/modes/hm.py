@@ -8,6 +8,7 @@ from .. import homing
 from ..homing import HomingError, Progress
 from ..jit import block, rare
 from ..ramps import close_position_loop, plan_velocity, profile_jerk
+from ..words import Controlword
 
 
 @rare
@@ -19,8 +20,9 @@ def start(axis):
 
 
 @block
-def demand(axis, bit4):
+def demand(axis):
     """Rising edge of bit 4 starts, falling edge interrupts, the engine moves."""
+    bit4 = int(axis.od.controlword) & Controlword.NEW_SET_POINT
     running = homing.busy(axis)
     if bit4 and not axis.bit4:
         homing.start(axis)

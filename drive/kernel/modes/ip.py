@@ -12,7 +12,7 @@ from ..cascade import energised
 from ..jit import block, rare
 from ..ramps import close_position_loop
 from ..record import IP_RECORDS, Axis
-from ..words import Latched
+from ..words import Controlword, Latched
 from . import csp
 
 RING = 1
@@ -57,10 +57,11 @@ def _take(axis: Axis):
 
 
 @block
-def demand(axis: Axis, bit4):
+def demand(axis: Axis):
     """Interpolate one position cycle further; at the end of a period take the next record."""
-    enabled = bit4 and sync.locked(axis)
-    sync.wait(axis, bit4 and not enabled)
+    asked = int(axis.od.controlword) & Controlword.NEW_SET_POINT != 0
+    enabled = asked and sync.locked(axis)
+    sync.wait(axis, asked and not enabled)
     if not enabled and axis.ip_active:
         csp.hold(axis)
     axis.ip_active = enabled
@@ -77,4 +78,3 @@ def status(axis: Axis):
     resting = axis.ip_records == 0 and axis.interpolation_cycle >= axis.interpolation_cycles
     axis.mode_bit10 = axis.standstill if axis.halted else energised(axis) and resting
     axis.mode_bit12 = energised(axis) and axis.ip_active
-    axis.mode_bit13 = 0

@@ -31,5 +31,3 @@ def status(axis):
     """target_reached: the demand is there."""
     reached = energised(axis) and axis.torque_demand == axis.target_torque
     axis.mode_bit10 = axis.standstill if axis.halted else reached
-    axis.mode_bit12 = 0
-    axis.mode_bit13 = 0

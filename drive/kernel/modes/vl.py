@@ -63,5 +63,3 @@ def status(axis: Axis):
     if axis.vl_window_bit:
         deviation = (-axis.vl_target if axis.reverse else axis.vl_target) - axis.velocity
         axis.mode_bit10 = energised(axis) and abs(deviation) <= axis.vl_window
-    axis.mode_bit12 = 0
-    axis.mode_bit13 = 0

@@ -33,6 +33,7 @@ from .fields import (
     OWN,
     OWN_STORED,
     PLACES,
+    QUIRKS,
     SEGMENTS,
     SET_POINTS,
     STORED,
@@ -50,8 +51,8 @@ from .variables import (
 __all__ = [
     "ANALOG_INPUTS", "AXIS", "FAULT_CAUSES", "FAULT_ROWS", "FIELDS", "HISTORY", "IP_RECORDS",
     "KINDS", "MAKER_LEGS", "MAKER_METHODS", "OBJECTS", "OD", "OWN", "OWN_STORED", "PLACES",
-    "RAD_S_PER_MINUTE", "SEGMENTS", "SET_POINTS", "SIZES", "STORED", "UNITS", "VENDOR_BYTES",
-    "Axis", "Kind", "Objects", "Quantity", "accessible", "make",
+    "QUIRKS", "RAD_S_PER_MINUTE", "SEGMENTS", "SET_POINTS", "SIZES", "STORED", "UNITS",
+    "VENDOR_BYTES", "Axis", "Kind", "Objects", "Quantity", "accessible", "make",
 ]
 
 Axis = Objects = np.record  # types of a record and of its `od`: see __init__.pyi

@@ -514,10 +514,6 @@ class Axis:
     """s; first-order response of the current loop; 0 = ideal"""
     supported_modes: int
     """bit of `words.mode_bit` set: the mode, as 6502h"""
-    negative_homing: int
-    """bit n set: homing method -n"""
-    positive_homing: int
-    """bit n set: homing method n"""
     fault_code: np.ndarray
     """32 values; emergency error code of each cause"""
     fault_number: np.ndarray
@@ -1069,6 +1065,7 @@ class Axis:
 
 Row = tuple[str, str | tuple[str, tuple[int, ...]], str, str]
 OBJECTS: tuple[Quantity, ...]
+QUIRKS: tuple[Row, ...]
 FIELDS: tuple[Row, ...]
 PLACES: dict[str, int]
 RAD_S_PER_MINUTE: float

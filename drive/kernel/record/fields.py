@@ -23,15 +23,7 @@ for _quantity in OBJECTS:
 STORED = OWN + OWN_STORED
 
 # field, type, unit, meaning
-FIELDS = (
-    # what the model fixes
-    ("position_period", "f8", "s", "position-controller cycle"),
-    ("velocity_period", "f8", "s", "velocity-controller cycle"),
-    ("velocity_cycles", "i8", "", "velocity cycles per position cycle"),
-    ("position_gain_unit", "f8", "1/s", "one unit of 60FBh:01"),
-    ("velocity_gain_unit", "f8", "Nm·s/rad", "one unit of 60F9h:01"),
-    ("temperature_unit", "f8", "K", "one unit of the motor temperature"),
-    # departures from the standard that the model declares (drive.toml, quirks)
+QUIRKS = (  # departures from the standard that a model declares in its drive.toml
     ("older_factor_group", "u1", "", "1: 6093h, 6094h, 6097h as in DSP 402 V2"),
     (
         "values_keep_meaning", "u1", "",
@@ -65,10 +57,18 @@ FIELDS = (
     ("own_velocity_ramps", "u1", "", "1: pv has ramps by direction, see velocity_ramps"),
     ("output_functions", "u1", "", "1: digital outputs show what output_function says"),
     ("history_depth", "u1", "", "entries of 1003h; 0 = all"),
+)
+FIELDS = (
+    # what the model fixes
+    ("position_period", "f8", "s", "position-controller cycle"),
+    ("velocity_period", "f8", "s", "velocity-controller cycle"),
+    ("velocity_cycles", "i8", "", "velocity cycles per position cycle"),
+    ("position_gain_unit", "f8", "1/s", "one unit of 60FBh:01"),
+    ("velocity_gain_unit", "f8", "Nm·s/rad", "one unit of 60F9h:01"),
+    ("temperature_unit", "f8", "K", "one unit of the motor temperature"),
+    *QUIRKS,
     ("torque_time_constant", "f8", "s", "first-order response of the current loop; 0 = ideal"),
     ("supported_modes", "i8", "", "bit of `words.mode_bit` set: the mode, as 6502h"),
-    ("negative_homing", "i8", "", "bit n set: homing method -n"),
-    ("positive_homing", "i8", "", "bit n set: homing method n"),
     ("fault_code", ("<u2", (FAULT_CAUSES,)), "", "emergency error code of each cause"),
     ("fault_number", ("<u2", (FAULT_CAUSES,)), "", "manufacturer's number: main << 4 | sub"),
     ("fault_register", ("u1", (FAULT_CAUSES,)), "", "error register bits of each cause"),
