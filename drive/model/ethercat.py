@@ -5,6 +5,7 @@ SII, ESI, 1C00h and the AL state machine are made from it; objects and PDOs are 
 
 import base64
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,7 +54,7 @@ class Al:
     by_edge: bool = _key("al", "by_edge", bool, False)
     # a request of INIT acknowledges without bit 4
     init_acknowledges: bool = _key("al", "init_acknowledges", bool, True)
-    codes: dict[str, int] = _key("al", "codes", dict, {})  # own numbers, by name of `AlStatusCode`
+    codes: Mapping[str, int] = _key("al", "codes", dict, {})  # by name of `AlStatusCode`
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ class EtherCat:
     group: str = _key("", "group", str)
     vendor: str = _key("", "vendor", str)
     without: tuple[str, ...] = _key("", "without", list, [])  # objects on CAN only, as "1005h"
-    registers: dict[int, bytes] = _key("", "registers", dict, {})  # of the slave controller
+    # of the slave controller, by address
+    registers: dict[int, bytes] = _key("", "registers", dict, {})  # noqa: RUF009
     mailbox: tuple[int, int, int, int] = _key("mailbox", "standard", list, numbers=4)
     bootstrap: tuple[int, int, int, int] = _key("mailbox", "bootstrap", list, numbers=4)
     shortest: int = _key("mailbox", "shortest", int)  # bytes of a mailbox that a master may choose
@@ -99,7 +101,7 @@ class EtherCat:
     mappable: tuple[int, int] = _key("pdo", "mappable", list, [4, 4], numbers=2)
     # whether a PDO that cannot be mapped is assigned without another
     fixed_alone: bool = _key("pdo", "fixed_alone", bool, True)
-    excludes: dict[int, tuple[int, ...]] = _key("pdo", "excludes", dict, {})
+    excludes: Mapping[int, tuple[int, ...]] = _key("pdo", "excludes", dict, {})
     al: Al = field(default_factory=Al)
 
     @property

@@ -8,7 +8,7 @@ import functools
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,34 @@ from .slots import Slot
 
 # objects that loading the defaults leaves alone (CMMP-AS 5.5, ARS 2000 6.5.2)
 KEPT = ("pole_number", "encoder_offset_angle")
-AS_WRITTEN = "as_written"  # in a parameter file: a value in the units of its writing
-REACTION = "reaction"  # in a parameter file: changed reaction to a fault, main and sub-number
-ALIAS = "alias:0"  # in a parameter file: station alias of an EtherCAT slave
-LSS = ("lss:0", "lss:1")  # in a parameter file: node-id and bit rate (bit/s; 0: none) of LSS
+# kinds of entries of a parameter file: the number of an object, a value in the units in which it
+# was written, the changed reaction to a fault by its main and sub-number, what is no parameter
+OBJECT, AS_WRITTEN, REACTION, IDENTITY = "object", "as_written", "reaction", "identity"
+ALIAS = "alias:0"  # station alias of an EtherCAT slave
+LSS = ("lss:0", "lss:1")  # node-id and bit rate (bit/s; 0: none) of LSS
+
+
+class Entry(NamedTuple):
+    """What an address in a parameter file stands for."""
+
+    kind: str
+    first: int = 0  # index, or main number of a fault
+    second: int | None = 0  # sub-index, or sub-number of a fault, None: of every one
+    part: str = ""  # of a `kept.WrittenValue`
+
+
+@functools.lru_cache(4096)
+def entry(address: str) -> Entry | None:
+    """The entry of an address, as ``6065:00``, ``as_written:6065:00:raw`` or ``reaction:17-0``."""
+    if address in (ALIAS, *LSS):
+        return Entry(IDENTITY)
+    if match := re.fullmatch(rf"{REACTION}:(\d+)(?:-(\d+))?", address):  # older: without a sub
+        return Entry(REACTION, int(match[1]), int(match[2]) if match[2] else None)
+    match = re.fullmatch(rf"({AS_WRITTEN}:)?([0-9A-F]{{4}}):([0-9A-F]{{2}})(?::(\w+))?", address)
+    if match and bool(match[1]) == bool(match[4]):
+        kind = AS_WRITTEN if match[1] else OBJECT
+        return Entry(kind, int(match[2], 16), int(match[3], 16), match[4] or "")
+    return None
 
 
 @functools.cache
@@ -176,24 +200,23 @@ class Parameters:
 
     def _unfit(self, address: str, value: int | float) -> str:
         """Why the drive cannot have a value of a parameter file; empty if it can."""
-        if address in (ALIAS, *LSS):
+        found = entry(address)
+        if found is None:
+            return "has no address of an object"
+        if found.kind == IDENTITY:
             low, high = {ALIAS: (0, 0xFFFF), LSS[0]: (1, 255)}.get(address, (0, 1_000_000))
             whole = isinstance(value, int) and (address != LSS[0] or not 127 < value < 255)
             return "" if whole and low <= value <= high else "cannot be stored"
-        if match := re.fullmatch(rf"{REACTION}:(\d+)(-\d+)?", address):  # older: the main number
-            known = int(match[1]) < 0x100 and value in REACTIONS
+        if found.kind == REACTION:
+            known = found.first < 0x100 and value in REACTIONS
             return "" if known else "is not a reaction to a fault"
-        if match := re.fullmatch(rf"{AS_WRITTEN}:([0-9A-F]{{4}}):([0-9A-F]{{2}}):(\w+)", address):
-            row = self._drive.model.objects.get((int(match[1], 16), int(match[2], 16)))
-            known = row is not None and row in kept.storable(self._drive.model).values()
-            whole = isinstance(value, int) or match[3] == "unit"
-            fits = match[3] in kept.WrittenValue._fields and whole and abs(value) < 2**62
+        slot = self._storable(found)
+        if found.kind == AS_WRITTEN:
+            known = slot is not None and slot.kept in kept.storable(self._drive.model)
+            whole = isinstance(value, int) or found.part == "unit"
+            fits = found.part in kept.WrittenValue._fields and whole and abs(value) < 2**62
             return "" if known and fits else "is not a value as it was written"
-        match = re.fullmatch(r"([0-9A-F]{4}):([0-9A-F]{2})", address)
-        if not match:
-            return "has no address of an object"
-        slot = self._drive.objects.slots.once((int(match[1], 16), int(match[2], 16)))
-        if slot is None or not slot.row.storable:
+        if slot is None:
             return ""  # left out
         row = slot.row
         if not (math.isfinite(value) if row.real else isinstance(value, int)):
@@ -210,14 +233,17 @@ class Parameters:
 
     def _ranges(self, values: store.Values) -> store.Ranges:
         """What the drive takes for the values of objects."""
-        slots = self._drive.objects.slots
-        ranges = {}
-        for address in values:
-            if re.fullmatch(r"[0-9A-F]{4}:[0-9A-F]{2}", address):
-                row = slots.once((int(address[:4], 16), int(address[5:], 16))).row
-                if not row.real:
-                    ranges[address] = [int(row.minimum), int(row.maximum)]
-        return ranges
+        found = ((address, entry(address)) for address in values)
+        slots = {a: self._storable(e) for a, e in found if e is not None and e.kind == OBJECT}
+        return {
+            address: [int(slot.row.minimum), int(slot.row.maximum)]
+            for address, slot in slots.items() if slot is not None and not slot.row.real
+        }
+
+    def _storable(self, found: Entry) -> Slot | None:
+        """The slot of an entry, if the model has the object and stores it."""
+        slot = self._drive.objects.slots.once((found.first, found.second or 0))
+        return slot if slot is not None and slot.row.storable else None
 
     def restore(self, values: store.Values) -> None:
         """Put saved values in force; what the model does not store is left out.
@@ -236,17 +262,12 @@ class Parameters:
 
     def _clash(self, values: store.Values) -> str:
         """Why the values in force do not go together; empty if they do."""
-        od = self._drive.objects
         for address, value in values.items():
-            first, _, second = address.partition(":")
-            if first in (REACTION, AS_WRITTEN) or address in (ALIAS, *LSS):
-                continue
-            slot = od.slots.once((int(first, 16), int(second, 16)))
-            hook = None
-            if slot is not None and slot.row.storable and slot.row.hook:
-                hook = hook_of(self._drive.model, slot.row.hook)
-            if hook and hook.judges and hook.write:
-                abort = hook.write(od, slot.row, int(value))
+            found = entry(address)
+            slot = self._storable(found) if found and found.kind == OBJECT else None
+            hook = hook_of(self._drive.model, slot.row.hook) if slot and slot.row.hook else None
+            if slot and hook and hook.judges and hook.write:
+                abort = hook.write(self._drive.objects, slot.row, int(value))
                 if abort is not Abort.NONE:
                     return f"{address} = {value}: {TEXT[abort]}"
         return ""
@@ -254,25 +275,19 @@ class Parameters:
     def _put(self, values: store.Values) -> None:
         factors: list[tuple[Slot, int | float]] = []
         others: list[tuple[Slot, int | float]] = []
-        exact: dict[int, dict[str, Any]] = {}
+        exact: dict[Any, dict[str, Any]] = {}  # by place
         for address, value in values.items():
-            if address in (ALIAS, *LSS):
+            found = entry(address)
+            if found is None or found.kind == IDENTITY:
                 continue
-            first, *more = address.split(":")
-            if first == REACTION:
-                main, _, sub = more[0].partition("-")
-                faults = of(self._drive, int(main), int(sub) if sub else None)
-                set_reaction(self._drive, faults, int(value))
+            if found.kind == REACTION:
+                set_reaction(self._drive, of(self._drive, found.first, found.second), int(value))
                 continue
-            part = ""
-            if first == AS_WRITTEN:
-                first, *more = more
-                *more, part = more
-            slot = self._drive.objects.slots.once((int(first, 16), int(more[0], 16)))
-            if slot is None or slot.view is None or not slot.row.storable:
+            slot = self._storable(found)
+            if slot is None or slot.view is None:
                 continue
-            if part:
-                exact.setdefault(slot.kept, {})[part] = value
+            if found.kind == AS_WRITTEN:
+                exact.setdefault(slot.kept, {})[found.part] = value
             else:
                 (factors if slot.kept == kept.FACTOR else others).append((slot, value))
         if factors:
