@@ -42,38 +42,18 @@ LEADS_TO = {
     ),
 }
 
-# whatever the command: statusword mask, value, quirk and what it has to be, next step
+# whatever the command: statusword bit, whether it is set, quirk and what it has to be, next step
 HINDRANCES = (
-    (
-        Statusword.REMOTE,
-        0,
-        ("remote_bit", 0),
-        "remote (bit 9) is 0: the drive is under local control, release it",
-    ),
-    (
-        Statusword.REMOTE,
-        0,
-        ("remote_bit", 1),
-        "remote (bit 9) is 0: the bus may not enable the drive, 6510h:10h = 2 allows it",
-    ),
-    (
-        Statusword.VOLTAGE_ENABLED,
-        0,
-        ("voltage_bit", 0),
-        "voltage_enabled (bit 4) is 0: switch on the power, allow torque (STO)",
-    ),
-    (
-        Statusword.INTERNAL_LIMIT_ACTIVE,
-        Statusword.INTERNAL_LIMIT_ACTIVE,
-        ("limit_bit_is_i2t", 0),
-        "internal_limit_active (bit 11): look for a limit switch or a limit of 607Dh, 6072h, 607Fh",
-    ),
-    (
-        Statusword.INTERNAL_LIMIT_ACTIVE,
-        Statusword.INTERNAL_LIMIT_ACTIVE,
-        ("limit_bit_is_i2t", 1),
-        "internal_limit_active (bit 11): I²t limits the current, command less or wait",
-    ),
+    (Statusword.REMOTE, False, "remote_bit", 0,
+     "remote (bit 9) is 0: the drive is under local control, release it"),
+    (Statusword.REMOTE, False, "remote_bit", 1,
+     "remote (bit 9) is 0: the bus may not enable the drive, 6510h:10h = 2 allows it"),
+    (Statusword.VOLTAGE_ENABLED, False, "voltage_bit", 0,
+     "voltage_enabled (bit 4) is 0: switch on the power, allow torque (STO)"),
+    (Statusword.INTERNAL_LIMIT_ACTIVE, True, "limit_bit_is_i2t", 0,
+     "internal_limit_active (bit 11): look for a limit switch or a limit of 607Dh, 6072h, 607Fh"),
+    (Statusword.INTERNAL_LIMIT_ACTIVE, True, "limit_bit_is_i2t", 1,
+     "internal_limit_active (bit 11): I²t limits the current, command less or wait"),
 )
 
 # what holds a drive back while bit 11 is set, of `AXIS.od.active_limits`
@@ -142,8 +122,8 @@ def advice(model: DriveModel, statusword: int, controlword: int) -> str:
     """The next step where a drive does not do what the controlword says."""
     hindrances = [
         text
-        for mask, value, (quirk, kind), text in HINDRANCES
-        if statusword & mask == value and model.quirk(quirk) == kind
+        for bit, is_set, quirk, kind, text in HINDRANCES
+        if bool(statusword & bit) == is_set and model.quirk(quirk) == kind
     ]
     command = command_of(controlword)
     if state_of(statusword) in LEADS_TO.get(command, ()):

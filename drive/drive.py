@@ -93,8 +93,7 @@ class Drive:
         )
         self.parameters = Parameters(self, parameter_file)
         self._kept = kept_bytes(self.model)
-        # by node-id and what makes the units
-        self._powered_on: tuple[tuple[int, bytes], np.ndarray] = (0, b""), np.empty(0)
+        self._power_on_changed()
         self.reset()
 
     def __repr__(self) -> str:
@@ -142,6 +141,11 @@ class Drive:
             units_changed(self.axes, self.index)  # as `restore` does where factors are stored
         self._powered_on = (self.node_id, factors(self)), self.memory[self.index].copy()
 
+    def _power_on_changed(self) -> None:
+        """Have the next `reset` fill the record anew."""
+        # by node-id and what makes the units
+        self._powered_on: tuple[tuple[int, bytes], np.ndarray] = (0, b""), np.empty(0)
+
     def _put_commissioned(self) -> None:
         """What a maker's tool has set of the objects that a master cannot write."""
         for name, value in self._commissioned.items():
@@ -155,7 +159,7 @@ class Drive:
         Raises ValueError if the file exists but is damaged or belongs to another model.
         """
         self.parameters.use(Path(file))
-        self._powered_on = (0, b""), np.empty(0)
+        self._power_on_changed()
         self._compile_pdos()
 
     def use_parameters(self, content: bytes) -> str:
@@ -164,7 +168,7 @@ class Drive:
             return wrong
         self.parameters.restore(self.parameters.stored())
         self.axis.parameters_changed = 1
-        self._powered_on = (0, b""), np.empty(0)
+        self._power_on_changed()
         self._compile_pdos()
         return ""
 
@@ -197,7 +201,7 @@ class Drive:
             if name in self.objects.names and not self.objects.names[name].writable:
                 self._commissioned[name] = int(round(value))  # by the maker's tool
                 self._put_commissioned()
-                self._powered_on = (0, b""), np.empty(0)
+                self._power_on_changed()
             elif name in self.objects.names:
                 try:
                     self.write(name, round(value))
@@ -211,7 +215,7 @@ class Drive:
                 setattr(self.axis.od, name, round(value))
                 if self.model.quirk("values_keep_meaning") and name in record.PLACES:
                     written(self, record.PLACES[name])
-                self._powered_on = (0, b""), np.empty(0)
+                self._power_on_changed()
             else:
                 refuse_unknown(name, [*self.objects.names, *(record.OD.names or ())])
         self.axis.parameters_changed = 1
@@ -373,8 +377,7 @@ class Drive:
     @property
     def energised(self) -> bool:
         """Whether the motor is supplied with power in the present state."""
-        energised = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-        return self.state in energised
+        return State.OPERATION_ENABLED <= self.state <= State.FAULT_REACTION_ACTIVE
 
     @property
     def fault(self) -> str:
@@ -512,7 +515,7 @@ class Drive:
         self.parameters.become(state["stored"], state["alias"])
         if state["commissioned"] != self._commissioned:
             self._commissioned = state["commissioned"]
-            self._powered_on = (0, b""), np.empty(0)
+            self._power_on_changed()
         self.image_changed()
 
     def __reduce__(self) -> tuple[Any, ...]:

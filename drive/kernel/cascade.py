@@ -102,16 +102,21 @@ def velocity_loop(axis: Axis):
         _special(axis)
         return
     error = axis.velocity_command - axis.velocity
-    wanted = (
-        axis.velocity_gain * error
-        + axis.velocity_integral
-        + axis.inertia_feed_forward * axis.acceleration_demand
-        + axis.torque_offset
-    )
+    wanted = _pi(axis, error) + axis.torque_offset
     possible = _limited(axis, wanted)
     _integrate(axis, error, possible - wanted)
     axis.torque_command = possible
     axis.torque += axis.torque_filter * (possible - axis.torque)
+
+
+@block
+def _pi(axis: Axis, error):
+    """Torque (Nm) of the velocity controller with its acceleration feed-forward."""
+    return (
+        axis.velocity_gain * error
+        + axis.velocity_integral
+        + axis.inertia_feed_forward * axis.acceleration_demand
+    )
 
 
 @block
@@ -161,11 +166,7 @@ def _special(axis: Axis):
         error = axis.position_demand + ahead - axis.position
         wanted = _pid(axis, error)
     else:
-        wanted = (
-            axis.velocity_gain * error
-            + axis.velocity_integral
-            + axis.inertia_feed_forward * axis.acceleration_demand
-        )
+        wanted = _pi(axis, error)
     if axis.shaped:
         wanted = filters.run(axis, wanted)
     wanted += axis.torque_offset

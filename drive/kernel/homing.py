@@ -123,14 +123,10 @@ HERE = (35, 37)  # the present position is home; nothing moves
 
 def _mirrored(method):
     off, on, legs = method
-    return (
-        off,
-        on,
-        [
-            (-direction, speed, _MIRRORED_EVENT.get(until, until), following, limit)
-            for direction, speed, until, following, limit in legs
-        ],
-    )
+    return off, on, [
+        (-direction, speed, _MIRRORED_EVENT.get(until, until), following, limit)
+        for direction, speed, until, following, limit in legs
+    ]
 
 
 def _to_index(method):
@@ -289,11 +285,8 @@ def demand(axis):
 @block
 def busy(axis):
     """Whether a homing has been started and has not ended yet."""
-    return (
-        axis.homing == Progress.SEARCHING
-        or axis.homing == Progress.STOPPING
-        or axis.homing == Progress.TO_ZERO
-    )
+    now = axis.homing
+    return now == Progress.SEARCHING or now == Progress.STOPPING or now == Progress.TO_ZERO
 
 
 @block

@@ -47,21 +47,14 @@ PLAIN = bool(_why)
 if DISABLED:
 
     def block(function: Any) -> Any:
-        """Mark a box of the block diagram."""
+        """Return the function as it is."""
         return function
 
-    def rare(function: Any) -> Any:
-        """Mark a box that is seldom entered."""
-        return function
-
-    def entry(function: Any) -> Any:
-        """Mark what Python calls."""
-        return function
+    rare = entry = block
 elif PLAIN:
     say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it",
         always=True)
-    _plain = numba.njit(error_model="numpy", nogil=True)
-    block, rare, entry = _plain, _plain, _plain  # type: ignore[assignment]
+    block = rare = entry = numba.njit(error_model="numpy", nogil=True)
 else:
     from .dispatchers import block, entry, rare
 

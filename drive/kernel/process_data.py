@@ -36,8 +36,9 @@ PDO = np.dtype(
         ("held", "<i4", (ENTRIES,)),  # of the value in the record (byte), < 0: it has a sign
         ("width", "<i4"),  # of the PDO (byte)
         ("bounded", "u1"),  # some entries have a range of their own
-        ("low", "<i8", (ENTRIES,)),  # least and greatest value that is taken over
+        ("low", "<i8", (ENTRIES,)),  # least and greatest value that is taken over, as `ordinal`
         ("high", "<i8", (ENTRIES,)),
+        ("floating", "u1", (ENTRIES,)),  # the entry is a REAL32 or REAL64
     ],
     align=True,
 )
@@ -123,7 +124,8 @@ def move(source, target, pdo, at, latching):
         held = abs(pdo.held[e])
         fits = 0 <= offset <= objects - held and at + length <= image and min(length, held) > 0
         if fits and latching and pdo.bounded:
-            fits = within(source, at, length, pdo.low[e], pdo.high[e])
+            number = ordinal(source, at, length, pdo.low[e] < 0, pdo.floating[e])
+            fits = pdo.low[e] <= number <= pdo.high[e]
         if fits:
             begin, end = (at, offset) if latching else (offset, at)
             given, taken = (length, held) if latching else (held, length)
@@ -135,15 +137,21 @@ def move(source, target, pdo, at, latching):
 
 
 @block
-def within(image, at, length, low, high):
-    """Whether the number at a place of an image, signed if `low` is below 0, is in a range."""
+def ordinal(image, at, length, signed, floating):
+    """The number at a place of an image as an integer.
+
+    Floating-point numbers become integers in the same order, as IEEE 754 provides: the bits of
+    negative ones count backwards. What is not a number lies beyond the infinities.
+    """
     number = 0
     for b in range(length):
         number |= int(image[at + b]) << 8 * b
     sign = 1 << (8 * length - 1)
-    if low < 0 and length < 8 and number & sign:
-        number -= 2 * sign
-    return low <= number <= high
+    if (signed or floating) and number & sign:
+        number -= 2 * sign  # 0 for eight bytes, which have their sign
+    if floating and number < 0:
+        number ^= sign - 1
+    return number
 
 
 @entry

@@ -11,34 +11,7 @@ import numpy as np
 
 from ..kernel.record import Axis
 from ..model.model import DriveModel
-from ..model.rows import Object
 from .abort import Abort
-
-
-class Place(Protocol):
-    """An object and where its bytes are, as `slots.Slot`."""
-
-    row: Object
-    offset: int
-
-    def get(self) -> int | float | str:
-        """The value as it stands."""
-
-    def put(self, value: int | float) -> None:
-        """Store a checked value."""
-
-
-class ParameterSets(Protocol):
-    """Factory defaults and stored values, as `parameters.Parameters`."""
-
-    def save(self) -> bool:
-        """What 1010h does; False if it failed."""
-
-    def forget(self) -> bool:
-        """What 1011h does; False if it failed."""
-
-    def load_defaults(self) -> None:
-        """What 1011h does in models where it acts at once."""
 
 
 class Dictionary(Protocol):
@@ -50,11 +23,11 @@ class Dictionary(Protocol):
 
     @property
     def slots(self) -> Mapping[tuple[int, int], Any]:
-        """Places by index and sub-index."""
+        """Each `slots.Slot` by index and sub-index."""
 
     @property
     def names(self) -> Mapping[str, Any]:
-        """Places by name."""
+        """Each `slots.Slot` by name."""
 
     def put(self, slot: Any, value: int | float) -> None:
         """Store a checked value."""
@@ -63,7 +36,7 @@ class Dictionary(Protocol):
         """Store values that make the units."""
 
     def find(self, index: int, subindex: int) -> tuple[Any, Abort]:
-        """The place of an object, or why there is none."""
+        """The slot of an object, or why there is none."""
 
     def read(self, index: int, subindex: int) -> tuple[bytes, Abort]:
         """SDO upload."""
@@ -93,7 +66,7 @@ class Device(Protocol):
 
     @property
     def parameters(self) -> Any:
-        """Its `ParameterSets`."""
+        """Its `parameters.Parameters`."""
 
     @property
     def energised(self) -> bool:

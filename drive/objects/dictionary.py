@@ -18,7 +18,7 @@ from .communication import READ_RULES, RULES
 from .device import Device
 from .hooks import HOOKS, WHEN, Hook, hook_of
 from .kept import FACTOR, place, written
-from .mapping import RULES_OF_RANGES, all_objects
+from .mapping import RULES_OF_RANGES, all_objects, unfit_for_rpdo
 from .slots import Names, Slot, Slots
 
 
@@ -33,6 +33,8 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
         if row.when and row.when not in WHEN:
             known = ", ".join(WHEN)
             raise ValueError(f"{row.where}: when {row.when!r} is unknown, use one of {known}")
+        if why := unfit_for_rpdo(row):
+            raise _not_by_pdo(row, why, "rx out")
     slots = {
         (row.index, row.subindex): Slot(
             row, None, RULES.get(row.index) or RULES_OF_RANGES.get(row.index & 0xFE00),
@@ -54,12 +56,19 @@ def _hook(model: DriveModel, row: Object) -> Hook | None:
         raise ValueError(f"{row.where}: hook {row.hook!r} is unknown: {remark}") from None
     except ValueError as error:
         raise ValueError(f"{row.where}: hook {row.hook!r}: {error}") from None
-    if row.hook not in HOOKS and (hook.write or hook.raw) and "rx" in row.pdo:
-        raise ValueError(
-            f"{row.where}: pdo {row.pdo!r}: process data are bytes moved by compiled code, which "
-            f"runs no hook: leave rx out, or the write of the hook {row.hook!r}"
-        )
+    if row.hook not in HOOKS:
+        if (hook.write or hook.raw) and "rx" in row.pdo:
+            raise _not_by_pdo(row, "runs no hook", f"rx out, or the write of the hook {row.hook!r}")
+        if (hook.read or hook.raw) and "tx" in row.pdo:
+            raise _not_by_pdo(row, "runs no hook", f"tx out, or the read of the hook {row.hook!r}")
     return hook
+
+
+def _not_by_pdo(row: Object, why: str, leave: str) -> ValueError:
+    return ValueError(
+        f"{row.where}: pdo {row.pdo!r}: process data are bytes moved by compiled code, which "
+        f"{why}: leave {leave}"
+    )
 
 
 @functools.cache

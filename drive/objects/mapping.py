@@ -32,7 +32,8 @@ TRANSMIT = ((0x1800, 0x1A00), "tpdo", "tx")
 NO_RTR = 0x4000_0000  # bit 30 of a PDO's identifier
 MAX_ENTRIES = 0x40  # CiA 301: more are reserved, or multiplexed PDOs
 VENDOR = OD.fields["vendor"][1]  # type: ignore[index]
-ANYTHING = -(1 << 63), (1 << 63) - 1
+LARGEST = (1 << 63) - 1
+ANYTHING = -LARGEST - 1, LARGEST
 SYNC_ID = 0x080  # no PDO has it (inferred): each frame would be a SYNC
 
 
@@ -204,17 +205,49 @@ def _mapping(od: Dictionary, row: Object, value: int) -> Abort:
     return _target(od, receive, value)[1] if value else Abort.NONE
 
 
-def _range(row: Object | None) -> tuple[int, int]:
-    """What process data may bring to the model's own bytes, which no cycle limits: as SDO."""
-    if row is not None and row.stored:  # a value that the record does not hold is not taken over
+def _own(row: Object) -> bool:
+    """Whether an object lies in the model's own bytes, which no cycle limits."""
+    return row.area == "axis" and row.offset >= VENDOR
+
+
+def unfit_for_rpdo(row: Object) -> str:
+    """Why process data cannot keep to the rules that SDO has for an object; empty if they can."""
+    if "rx" not in row.pdo or not _own(row):
+        return ""
+    if row.when:
+        return "does not know the state that `when` asks for"
+    if row.allowed and len(row.allowed) != max(row.allowed) - min(row.allowed) + 1:
+        return "checks a range, and not a set with gaps"
+    if row.format == "Q" and row.minimum > 0 and row.maximum > LARGEST:
+        return "checks no range that ends above 2^63"
+    return ""
+
+
+def _range(row: Object | None, bits: int) -> tuple[int, int]:
+    """The least and the greatest value that process data may bring to an object, as SDO has them.
+
+    Those of a real number are integers in its order, see `process_data.ordinal`.
+    """
+    if row is None or (not row.stored and not _own(row)):
+        return ANYTHING
+    if row.stored:  # a value that the record does not hold is not taken over
         own, other = np.iinfo(f"<{row.stored}"), np.iinfo(f"<{row.format}")
         return max(int(own.min), int(other.min)), min(int(own.max), int(other.max))
-    if row is None or row.area != "axis" or row.offset < VENDOR or row.format in "fdQq":
-        return ANYTHING
     values = row.allowed or (row.minimum, row.maximum)
-    low, high = int(min(values)), int(max(values))
+    if row.real:
+        if bits != 8 * row.size:
+            return ANYTHING
+        low, high = _ordinal(row, min(values)), _ordinal(row, max(values))
+        return -1 if low == 0 else low, high  # -0.0 is 0.0
     info = np.iinfo("<" + row.format)
-    return ANYTHING if (low, high) == (info.min, info.max) else (low, high)
+    low, high = max(int(min(values)), int(info.min)), min(int(max(values)), int(info.max))
+    return ANYTHING if (low, high) == (info.min, info.max) else (low, min(high, LARGEST))
+
+
+def _ordinal(row: Object, value: float) -> int:
+    """A real number as `process_data.ordinal` has it."""
+    number = int.from_bytes(row.code.pack(value), "little", signed=True)
+    return number ^ (1 << 8 * row.size - 1) - 1 if number < 0 else number
 
 
 def _held(row: Object, receive: bool) -> int:
@@ -242,7 +275,7 @@ def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> 
 def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False) -> Abort:
     if count > ENTRIES:
         return Abort.PDO_LENGTH
-    offsets, lengths, ranges, held = [], [], [], []
+    offsets, lengths, ranges, floating, held = [], [], [], [], []
     for mapping in pdo.mapping[:count].tolist():
         offset, abort = _target(od, receive, mapping, exact=not fixed)
         if abort:
@@ -251,12 +284,13 @@ def _compile(od: Dictionary, pdo, receive: bool, count: int, fixed: bool = False
         lengths.append((mapping & 0xFF) // 8)
         slot = od.slots.get(mapping_entry(mapping)[:2])
         row = slot.row if slot is not None and offset != DUMMY else None
-        ranges.append(_range(row))
+        ranges.append(_range(row, mapping & 0xFF))
+        floating.append(row is not None and row.real)
         held.append(_held(row, receive) if row is not None and row.stored else lengths[-1])
     if sum(lengths) * 8 > MAX_BITS and not fixed:
         return Abort.PDO_LENGTH
     pdo.offset[:count] = offsets
-    pdo.length[:count], pdo.held[:count] = lengths, held
+    pdo.length[:count], pdo.held[:count], pdo.floating[:count] = lengths, held, floating
     pdo.low[:count], pdo.high[:count] = zip(*ranges, strict=True) if ranges else ((), ())
     pdo.bounded = any(range_ != ANYTHING for range_ in ranges)
     pdo.width = sum(lengths)

@@ -140,29 +140,71 @@ def test_an_entry_point_that_gives_no_hook_is_told(tmp_path, package, wrong, say
         Drive(folder(tmp_path, hook="strength", hooks=""))
 
 
-@pytest.mark.parametrize("pdo", ["rx", "rxtx"])
-def test_an_object_whose_write_does_something_is_not_mapped_to_process_data(tmp_path, pdo):
+@pytest.mark.parametrize("pdo", ["rx", "rxtx", "tx"])
+def test_an_object_that_does_something_is_not_mapped_to_process_data(tmp_path, pdo):
+    """A write hook would not run, and a PDO would carry the stored bytes, not what `read` gives."""
     own = folder(tmp_path, pdo=pdo, hook="strength")
     run_code(own)
-    with pytest.raises(ValueError, match=r"line 2.*code, which runs no hook: leave rx out"):
+    out = "tx" if pdo == "tx" else "rx"
+    with pytest.raises(ValueError, match=rf"line 2.*code, which runs no hook: leave {out} out"):
         Drive(own)
 
 
-def test_the_range_of_an_object_of_ones_own_holds_by_sdo_and_by_pdo(tmp_path):
-    """-5..5 of 5001h, 0..10 of 5000h: what SDO refuses leaves the value as it was."""
-    drive = Drive(folder(tmp_path, pdo="rx", hooks=""))
-    drive.map_pdos([["controlword", "strength", "offset"]])
-    for strength, offset in ((4, -5), (200, 3), (10, 5), (0, -6), (11, 300)):
-        kept = drive.read("strength"), drive.read("offset")
-        drive.latch(drive.pack(strength=strength, offset=offset))
-        for name, value, before in (("strength", strength, kept[0]), ("offset", offset, kept[1])):
-            by_pdo = drive.read(name)
-            drive.write(name, before)
-            try:
-                drive.write(name, value)
-            except SdoAbort:
-                assert by_pdo == before, (name, value)
-            assert drive.read(name) == by_pdo, (name, value)
+REAL = ("-inf", "-8.5", "-1", "-0.0", "0", "0.25", "1", "1.0001", "7", "inf", "nan")
+WHOLE = (
+    -(1 << 63), -129, -128, -6, -5, -1, 0, 1, 2, 4, 6, 7, 127, 255, (1 << 63) - 1, (1 << 64) - 1,
+)
+RANGES = ((-5, 6), (-1, ""), (0, 7), (1, 4), ("", 2), ("", ""), ("{2;3;4;5}", ""))
+
+
+def own_objects(tmp_path, rows):
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "drive.toml").write_text('based_on = "generic"\n')
+    (own / "objects.csv").write_text(HEAD + "".join(
+        f"0x5000,{n:#04x},value_{n},RECORD,{row}\n" for n, row in enumerate(rows, 1)
+    ))
+    return Drive(own)
+
+
+@pytest.mark.parametrize("data_type", [
+    *(f"{kind}{bits}" for kind in ("INTEGER", "UNSIGNED") for bits in (8, 16, 32, 64)),
+    "REAL32", "REAL64",
+])
+def test_the_range_of_an_object_of_ones_own_holds_by_sdo_and_by_pdo(tmp_path, data_type):
+    """What SDO refuses leaves the object as it was by PDO, too; what SDO takes, PDO brings."""
+    unsigned, bits = data_type.startswith("U"), int("".join(filter(str.isdigit, data_type)))
+    low, high = (0, 1 << bits) if unsigned else (-(1 << bits - 1), 1 << bits - 1)
+    numbers = [n for n in WHOLE if low <= n < high]
+    if data_type.startswith("REAL"):
+        numbers = [float(text) for text in REAL]
+    ranges = RANGES[2:] if unsigned else RANGES
+    drive = own_objects(tmp_path, [
+        f"{data_type},rw,rxtx,,{least},{most},2,,mine,,,," for least, most in ranges
+    ])
+    refused = taken = 0
+    for n, row in enumerate(ranges, 1):
+        drive.map_pdos([[f"value_{n}"]])
+        for number in numbers:
+            drive.write(0x5000, n, 2)
+            drive.latch(drive.pack(**{f"value_{n}": number}))
+            by_pdo = drive.read(0x5000, n)
+            drive.write(0x5000, n, 2)
+            abort = drive.objects.write(0x5000, n, drive.objects.slots[0x5000, n].code.pack(number))
+            assert repr(by_pdo) == repr(drive.read(0x5000, n)), (row, number)
+            refused, taken = refused + bool(abort), taken + (not abort)
+    assert refused > 3
+    assert taken > 3
+
+
+@pytest.mark.parametrize(("row", "why"), [
+    ("UNSIGNED8,rw,rx,,{0;2;7},,0,,mine,,,,", "a set with gaps"),
+    ("INTEGER16,rw,rxtx,,,,0,,mine,,,disabled,", "the state that `when` asks for"),
+    ("UNSIGNED64,rw,rx,,1,,1,,mine,,,,", "no range that ends above"),
+])
+def test_a_rule_that_process_data_cannot_keep_is_refused_with_the_mapping(tmp_path, row, why):
+    with pytest.raises(ValueError, match=rf"line 2.*compiled code, which .*{why}.*: leave rx out"):
+        own_objects(tmp_path, [row])
 
 
 def test_modes_of_the_maker_have_the_upper_bits_of_6502h():

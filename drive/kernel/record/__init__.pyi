@@ -453,7 +453,7 @@ class Axis:
     older_factor_group: int
     """1: 6093h, 6094h, 6097h as in DSP 402 V2"""
     values_keep_meaning: int
-    """1: a changed factor or polarity changes numbers, not values"""
+    """1: a changed factor or polarity changes numbers only"""
     fault_shows_reaction: int
     """1: FAULT shows 000Fh, see `statusword`"""
     voltage_bit: int
@@ -703,9 +703,9 @@ class Axis:
     torque_speed: float
     """rad/s; highest in a torque mode: of 2416h, or max_speed"""
     velocity_ramps: np.ndarray
-    """4 values; rad/s²; 2090h: up, down, up and down in negative direction"""
+    """4 values; rad/s²; 2090h: up, down; both in negative direction"""
     ramps_seen: np.ndarray
-    """2 values; rad/s²; 6083h and 6084h when they were copied there; 0 = never"""
+    """2 values; rad/s²; 6083h, 6084h when they were copied there; 0 = never"""
     brake_engage_cycles: int
     """position cycle"""
     interpolation_cycles: int

@@ -25,10 +25,7 @@ STORED = OWN + OWN_STORED
 # field, type, unit, meaning
 QUIRKS = (  # departures from the standard that a model declares in its drive.toml
     ("older_factor_group", "u1", "", "1: 6093h, 6094h, 6097h as in DSP 402 V2"),
-    (
-        "values_keep_meaning", "u1", "",
-        "1: a changed factor or polarity changes numbers, not values",
-    ),
+    ("values_keep_meaning", "u1", "", "1: a changed factor or polarity changes numbers only"),
     ("fault_shows_reaction", "u1", "", "1: FAULT shows 000Fh, see `statusword`"),
     ("voltage_bit", "u1", "", "bit 4: 0 mains voltage, 1 power stage on, 2 off, 3 never"),
     ("remote_bit", "u1", "", "bit 9: 0 always, 1 enable_logic is 2 and is needed to enable"),
@@ -111,18 +108,8 @@ FIELDS = (
     ("current_limit", "f8", "Nm", "of 2415h; inf = off"),
     ("limit_torque", "f8", "Nm", "the same with its source at full scale"),
     ("torque_speed", "f8", "rad/s", "highest in a torque mode: of 2416h, or max_speed"),
-    (
-        "velocity_ramps",
-        ("f8", (4,)),
-        "rad/s²",
-        "2090h: up, down, up and down in negative direction",
-    ),
-    (
-        "ramps_seen",
-        ("f8", (2,)),
-        "rad/s²",
-        "6083h and 6084h when they were copied there; 0 = never",
-    ),
+    ("velocity_ramps", ("f8", (4,)), "rad/s²", "2090h: up, down; both in negative direction"),
+    ("ramps_seen", ("f8", (2,)), "rad/s²", "6083h, 6084h when they were copied there; 0 = never"),
     ("brake_engage_cycles", "i8", "position cycle", ""),
     ("interpolation_cycles", "i8", "position cycle", "60C2h"),
     ("turn_option", "i8", "", "`limits.nearest_turn`"),
