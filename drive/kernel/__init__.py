@@ -1,1 +1,1 @@
-"""What is compiled: one record in, one control cycle on; `cycle` has the order of the blocks."""
+"""The compiled control cycle of one axis record; `cycle` calls the blocks in order."""

@@ -1,9 +1,9 @@
 """The holding brake: released with the enabled operation, engaged before the power goes off.
 
-Delays as Festo CMMP-AS, 6510h:18 brake_delay_time: after enabling, set-points wait until the brake
-has let go; at an orderly end the motor holds the axis until the brake has gripped. Where the power
-goes off at once (disable voltage, severe faults, STO) the brake grips when it can.
-60FEh bit 0 with its mask sets (1) or releases (0) the brake by hand while the motor is off.
+The delays follow Festo CMMP-AS, 6510h:18 brake_delay_time. After enabling, set-points wait until
+the brake is released; before an orderly power-off the motor holds the axis until the brake is
+engaged. If the power goes off at once (disable voltage, severe faults, STO), the brake engages after
+its own delay. While the motor is off, 60FEh bit 0 with its mask engages (1) or releases (0) it.
 """
 
 from .cascade import energised
@@ -28,7 +28,7 @@ def run(axis: Axis):
 
 @block
 def waits(axis: Axis):
-    """Whether set-points still wait for the brake to let go."""
+    """Whether set-points still wait for the brake to be released."""
     if not axis.od.brake_fitted:
         return False
     return not axis.brake_released or axis.brake_timer <= axis.brake_release_cycles
@@ -36,7 +36,7 @@ def waits(axis: Axis):
 
 @block
 def gripped(axis: Axis):
-    """Make the brake grip; True once it holds and the power stage may go off."""
+    """Engage the brake; True once it holds and the power stage may go off."""
     if not axis.od.brake_fitted:
         return True
     axis.brake_gripping = 1

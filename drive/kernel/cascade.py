@@ -3,21 +3,21 @@
     velocity_command = feed_forward * velocity_demand + position_gain * (demand - actual)
     torque           = gain * e + integral + inertia * acceleration_demand + torque_offset
 
-In a torque mode the demand goes straight to the limit; a speed limiter on the same velocity gain
-takes torque away above the maximum motor speed, or a lower limit (2416h of some models).
+In a torque mode the demand goes directly to the torque limit; a speed limiter with the velocity
+gain reduces the torque above the maximum motor speed, or a lower limit (2416h of some models).
 
 The position loop runs once a position cycle, the velocity loop once a velocity cycle. The
-integrator is updated with the torque that was really possible (back-calculation), so it never
+integrator is updated with the torque that was actually possible (back-calculation), so it never
 winds up behind a limit. The current loop is a first-order lag, sampled exactly.
 
-Where a drive has another structure, filters, an observer or a winding whose voltage counts, the
-velocity loop is `_special`, one step aside, as for torque modes:
+With another structure, filters, an observer or a winding with a voltage limit, and in torque modes,
+the velocity loop is `_special`. The PID position controller of structure 1 computes the torque
+set-point itself in every velocity cycle:
 
     torque = filters(P e + I integral of e + D de/dt + FFv * velocity_demand + FFa * acceleration)
 
-is the PID position controller of structure 1, which gives the torque (current) set-point itself and
-runs every velocity cycle; the D part of a filtered difference has the time constant D / (10 P), as
-maxon's EPOS4 has it (inferred), or of the observer's speed.
+Its D part uses a difference filtered with the time constant D / (10 P), as in maxon's EPOS4
+(inferred), or the observer's speed.
 """
 
 import math
@@ -49,16 +49,16 @@ PID_FILTER = 10.0  # P / D over the rate of the D part's low-pass
 
 @block
 def torque_allowed(axis: Axis):
-    """Whether the inputs that act on the transistors themselves let torque pass, in any state.
+    """Whether the inputs that act on the transistors directly allow torque, in any state.
 
-    Safe torque off (IEC 61800-5-2); the contact S1, where contacts are looked at.
+    They are safe torque off (IEC 61800-5-2) and, if contacts are in use, contact S1.
     """
     return axis.sto_input and not (contacts.in_use(axis) and contacts.blocked(axis))
 
 
 @block
 def energised(axis: Axis):
-    """Whether the motor is fed: enabled, in a quick stop or fault reaction, and torque allowed."""
+    """Whether the motor has power: enabled, quick stop or fault reaction, and torque allowed."""
     return torque_allowed(axis) and (
         axis.state == State.OPERATION_ENABLED
         or axis.state == State.QUICK_STOP_ACTIVE
@@ -144,7 +144,7 @@ def _integrate(axis: Axis, error, missing):
 
 @block
 def _begin(axis: Axis):
-    """Without torque: the observer and the speed go on, what is filtered begins anew."""
+    """Without torque, continue the observer and reset the filters."""
     observer.run(axis)
     winding.follow(axis)
     filters.clear(axis)
@@ -154,7 +154,7 @@ def _begin(axis: Axis):
 
 @block
 def _special(axis: Axis):
-    """The velocity cycle of torque modes, other structures, filters, and the winding."""
+    """One velocity cycle of torque modes, other structures, filters, and the winding."""
     observer.run(axis)
     pid = axis.structure == Structure.PID and axis.control == Control.POSITION
     error = axis.velocity_command - axis.velocity
@@ -210,7 +210,7 @@ def _pid(axis: Axis, error):
 
 @block
 def receive(axis: Axis):
-    """What `_special` works with, from the objects."""
+    """Set the parameters of `_special` from the objects."""
     od = axis.od
     axis.structure = od.control_structure
     axis.pid[0] = od.pid_gain * 1e-6

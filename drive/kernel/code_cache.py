@@ -1,4 +1,4 @@
-"""The folder in which compiled entries are kept, who may write there, and what is said of it."""
+"""The folder of the compiled entries: its place, its permissions, its size, and its messages."""
 
 import atexit
 import contextlib
@@ -16,12 +16,12 @@ try:
 except ImportError:  # Windows: two processes may compile the same, and the later one is kept
     fcntl = None  # type: ignore[assignment]
 
-LARGEST_CACHE = 256 * 2**20  # bytes; what was used longest ago goes first
+LARGEST_CACHE = 256 * 2**20  # bytes; the least recently used entries are removed first
 
 
 @functools.cache
 def cache_directory() -> Path:
-    """Where compiled entries are kept; ``SERVOGYM_CACHE_DIR`` moves it."""
+    """Return the folder of the compiled entries; ``SERVOGYM_CACHE_DIR`` selects another one."""
     try:
         chosen = os.environ.get("SERVOGYM_CACHE_DIR") or Path.home() / ".cache" / "servogym"
         folder = Path(chosen)
@@ -31,7 +31,7 @@ def cache_directory() -> Path:
                 f"{folder} or a folder above it can be written by others, and a cache is run: "
                 "chmod 700 it"
             )
-    except (OSError, RuntimeError) as error:  # no home, none to write to, or one of others
+    except (OSError, RuntimeError) as error:  # no home, not writable, or writable by others
         folder = _temporary_directory()
         said = getattr(error, "strerror", None)
         reason = f"{error.filename}: {said}" if said else f"{error}"  # type: ignore[union-attr]
@@ -40,9 +40,9 @@ def cache_directory() -> Path:
 
 
 def _trusted(folder: Path, owners: tuple[int, ...]) -> bool:
-    """Whether nobody but `owners` can have put code into a folder, or another folder in its place.
+    """Whether only `owners` can have put code into a folder, or replaced the folder.
 
-    One's own group may write. Of the folders above it, one with the sticky bit may be open to all.
+    The user's own group may write. A folder above it may be open to all if it has the sticky bit.
     """
     found = folder.stat()
     parents = (place.stat() for place in folder.resolve().parents)
@@ -58,7 +58,7 @@ def _open(found: os.stat_result) -> bool:
 
 
 def _temporary_directory() -> Path:
-    """A folder in the temporary one that nobody else can have prepared: a cache is run."""
+    """Return a temporary folder that nobody else can have prepared, as its code is executed."""
     if hasattr(os, "getuid"):
         folder = Path(tempfile.gettempdir()) / f"servogym-{os.getuid()}"
         with contextlib.suppress(OSError):
@@ -72,12 +72,12 @@ def _temporary_directory() -> Path:
 
 
 def _watched() -> bool:
-    """Whether a person sees what is said: at a terminal, or in a notebook."""
+    """Whether stderr is interactive: a terminal or a notebook."""
     return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel.")
 
 
 def say(text: str, *, always: bool = False) -> None:
-    """A line for the person who waits; none with ``SERVOGYM_QUIET=1``."""
+    """Print a line for a waiting user, or always; ``SERVOGYM_QUIET=1`` suppresses it."""
     if sys.stderr is None or os.environ.get("SERVOGYM_QUIET"):
         return
     if always or _watched():
@@ -86,12 +86,12 @@ def say(text: str, *, always: bool = False) -> None:
 
 @functools.cache
 def cannot_keep(reason: str) -> None:
-    """Told once."""
+    """Warn, once for each reason, that compiled code is not stored."""
     say(f"{reason} (SERVOGYM_CACHE_DIR names a folder that can be written)", always=True)
 
 
 def prune(folder: Path) -> None:
-    """Drop what was used longest ago, until the folder is no larger than `LARGEST_CACHE`."""
+    """Remove the least recently used entries until the folder is within `LARGEST_CACHE`."""
     free = LARGEST_CACHE
     for index in sorted(folder.glob("*.nbi"), key=lambda path: -path.stat().st_mtime):
         files = [index, *folder.glob(f"{index.stem}.*.nbc")]
@@ -101,12 +101,12 @@ def prune(folder: Path) -> None:
                 path.unlink(missing_ok=True)
 
 
-_locked = 0  # how often; the global compiler lock guards it
+_locked = 0  # nesting depth, guarded by the global compiler lock
 
 
 @contextlib.contextmanager
 def only_one(folder: str) -> Iterator[None]:
-    """Hold the lock of a cache; the system releases what a dead process held."""
+    """Hold the lock of a cache; the system releases the lock of a process that ended."""
     global _locked
     with contextlib.ExitStack() as held:
         if fcntl is not None and not _locked:

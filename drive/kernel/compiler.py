@@ -1,24 +1,25 @@
-"""Compile the blocks of an entry without what Numba does for other code.
+"""Compile the blocks of an entry without the steps of Numba that only other code needs.
 
-Linking. Numba makes a library of each function. When the library is finished, all that the function
-calls is copied into it, optimised with it and made machine code. A block nested ten deep is so
-optimised ten times and most of the machine code never called. A `Library` of this file only keeps
-its own code until somebody needs the machine code of it: Python, which calls an entry, or a library
-of another kind, which copies it. Then everything below is linked, and optimised at once, as code
-that nobody else calls: blocks go into their callers, and what all calls have in common goes away.
+Linking. Numba makes a library of each function. When it finishes a library, it copies everything
+that the function calls into it, optimises it, and generates machine code. A block nested ten deep
+is thus optimised ten times, and most of the machine code is never called. A `Library` of this file
+keeps its own code until its machine code is needed: by Python, which calls an entry, or by a
+library of another kind, which copies it. Only then is everything below linked and optimised at
+once, as code without other callers, so that blocks are inlined and common code is shared.
 
-Optimising. That gains more than LLVM's higher levels do (`PASSES`), which take twice as long, for
-loops over arrays that are not here. A `rare` block stays out of the way of what runs each cycle.
+Optimising. This gains more than LLVM's higher levels do (`PASSES`), which take twice as long to
+optimise loops over arrays that do not occur here. A `rare` block is placed out of line.
 
-Passes. A `Pipeline` leaves out those that would find nothing in a block, and their protocol.
+Passes. A `Pipeline` leaves out the passes that find nothing in a block, and the log of all passes.
 
 Loading. Numba imports all of SciPy's linear algebra before it loads or compiles anything, only to
-see that it is there: 0.2 s of each start. `without_linear_algebra` asks whether it is installed.
+check that it exists, which takes 0.2 s at each start. `without_linear_algebra` checks whether SciPy
+is installed instead.
 
-While an entry is compiled (`compiling`), Numba does without what costs much and leaves the code as
-it is: writing out the type of a record, hundreds of fields, for each pass and each field that is
-read; asking all implementations of ``+`` again for each addition; working out after each pass where
-variables die, which is needed once; looking for garbage. The optimised code stays the same.
+While an entry is compiled (`compiling`), Numba skips expensive work that does not change the code:
+writing out the type of a record with its hundreds of fields for each pass and each field access;
+resolving ``+`` among all its implementations again for each addition; computing variable lifetimes
+after each pass, which are needed once; and collecting garbage. The optimised code stays the same.
 """
 
 import contextlib
@@ -42,29 +43,29 @@ PASSES = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}  # of LLVM
 
 
 class _NoEnvironment:
-    """Takes what only code that calls Python needs: compiled blocks do not."""
+    """Accepts the environment that only code that calls Python needs; blocks do not."""
 
     @staticmethod
     def set_env(name: str, environment: object) -> None:
-        """Called for each function when it is compiled."""
+        """Ignore the environment of a function."""
 
 
 class Library(JITCodeLibrary):
-    """The code of one function, linked with what it calls when it is to be run."""
+    """The code of one function, linked with its callees when it is needed as machine code."""
 
     @property
     def codegen(self) -> Any:
-        """Numba's; nothing can be written into what is not machine code yet."""
+        """Numba's code generator; without machine code, environments are ignored."""
         return self._codegen if self._finalized else _NoEnvironment
 
     def add_linking_library(self, library):
-        """Take note of a library that this one calls."""
+        """Note a library that this one calls."""
         if not isinstance(library, Library):
             library._ensure_finalized()
         self._linking_libraries.append(library)
 
     def finalize(self):
-        """Link all that is called, directly or not, optimise it and make machine code."""
+        """Link and optimise everything that is called, directly or not; generate machine code."""
         below: dict[Any, None] = {}
         self._gather(below)
         below.pop(self, None)
@@ -72,14 +73,14 @@ class Library(JITCodeLibrary):
         super().finalize()
 
     def _optimize_functions(self, module):
-        """Tidy up each function as it comes: less to keep until all are linked."""
+        """Simplify each function early, so that less code is kept until everything is linked."""
         module.data_layout = self._codegen._data_layout
         for function in module.functions:
             passes, builder = self._codegen._function_pass_manager(**PASSES)
             passes.run(function, builder)
 
     def _optimize_final_module(self):
-        """Optimise what is linked, which nobody else calls: each block then fits its caller."""
+        """Optimise the linked code, which has no other callers, so that blocks can be inlined."""
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == llvm.Linkage.weak_odr:
                 function.linkage = "internal"
@@ -94,7 +95,7 @@ class Library(JITCodeLibrary):
                     library._gather(below)
 
     def get_pointer_to_function(self, name):
-        """Address of a function, 0 where it is not here; now machine code is needed."""
+        """Return the address of a function, 0 if this library lacks it; needs machine code."""
         if not self._finalized:
             here = {function.name for function in self.get_defined_functions()}
             if name not in here:
@@ -103,7 +104,7 @@ class Library(JITCodeLibrary):
 
 
 class _Part:
-    """What a library contributes to one that links it and all the others itself."""
+    """The contribution of a library to one that links it together with all others."""
 
     def __init__(self, library):
         self._library = library
@@ -116,16 +117,16 @@ class _Part:
         module = library._final_module.clone()
         for function in module.functions:
             if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                # several may hold it; taken over even if what calls it is linked later
+                # several libraries may hold it, and its callers may be linked later
                 function.linkage = "weak_odr"
         return module
 
 
 class _Passes(PassManager):
-    """Runs passes; Numba's own also words a protocol of each, whether somebody reads it or not."""
+    """Runs passes without the log that Numba writes of each one."""
 
     def run(self, state):
-        """One pass after the other, on the function that is compiled."""
+        """Run the passes in order on the function that is being compiled."""
         for kind, description in self.passes:
             step = _pass_registry.get(kind).pass_inst
             step.analysis = self._analysis
@@ -140,12 +141,12 @@ class _Passes(PassManager):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _ArrayRewrites(NopythonRewrites):
-    """What is rewritten when types are known: operations on whole arrays, words as keys."""
+    """Rewrites of typed code: operations on whole arrays, and strings as keys."""
 
     _name = "servogym_array_rewrites"
 
     def run_pass(self, state):
-        """Look for them only where there are any."""
+        """Run only if the function has such operations."""
         for signature in state.calltypes.values():
             kinds = signature and (signature.return_type, *signature.args)
             if kinds and any(isinstance(kind, types.Array | types.StringLiteral) for kind in kinds):
@@ -154,12 +155,12 @@ class _ArrayRewrites(NopythonRewrites):
 
 
 class Pipeline(CompilerBase):
-    """Numba's passes but those for closures, where there are none, and for its reports."""
+    """Numba's passes without reports, and without those for closures if there are none."""
 
     _passes: ClassVar[dict[bool, _Passes]] = {}
 
     def define_pipelines(self):
-        """The passes for the function that is compiled: made once, they keep nothing of it."""
+        """Return the passes for the function; they are stateless, so they are created once."""
         constants = self.state.func_id.code.co_consts
         closures = any(isinstance(constant, CodeType) for constant in constants)
         if closures not in self._passes:
@@ -177,17 +178,17 @@ _call_type = types.BaseFunction.get_call_type
 
 
 def _process_once(self, emit_dels=False, extend_lifetimes=False):
-    """Numba's clean-up after a pass: where variables die is worked out when it is written down."""
+    """Numba's clean-up after a pass; variable lifetimes are computed only when they are used."""
     function = self.func_ir
     if emit_dels or function.is_generator:
         return _process(self, emit_dels, extend_lifetimes)
     function.blocks = transforms.canonicalize_cfg(function.blocks)
-    function.variable_lifetime = postproc.VariableLifetime(function.blocks)  # when it is asked
+    function.variable_lifetime = postproc.VariableLifetime(function.blocks)  # computed lazily
     function.generator_info = None
 
 
 def _remembering() -> Any:
-    """`get_call_type` of Numba's functions, which is asked once for each kind of numbers."""
+    """Return a `get_call_type` that resolves each combination of number types once."""
     known: dict[tuple, Any] = {}
 
     def get_call_type(self, context, args, kws):
@@ -203,7 +204,7 @@ def _remembering() -> Any:
 
 @contextlib.contextmanager
 def _instead(owner: Any, name: str, value: Any) -> Iterator[None]:
-    """Give an attribute another value for a while."""
+    """Replace an attribute temporarily."""
     before = getattr(owner, name)
     setattr(owner, name, value)
     try:
@@ -219,7 +220,7 @@ def _has_blas() -> None:
 
 @functools.cache
 def without_linear_algebra() -> None:
-    """Load what Numba has for arrays; a function that needs SciPy imports it when compiled."""
+    """Load Numba's array functions; code that uses linear algebra imports SciPy when compiled."""
     from numba.np import linalg
 
     with _instead(linalg, "ensure_blas", _has_blas):
@@ -228,7 +229,7 @@ def without_linear_algebra() -> None:
 
 @contextlib.contextmanager
 def _no_collection() -> Iterator[None]:
-    """Collect no garbage: what a compiler makes is kept, and looked through in vain."""
+    """Suspend garbage collection: the compiler's objects live on, so a search finds nothing."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -240,7 +241,7 @@ def _no_collection() -> Iterator[None]:
 
 @contextlib.contextmanager
 def compiling(codegen: Any) -> Iterator[None]:
-    """Compile meanwhile as this file says; the caller holds the compiler lock."""
+    """Compile as this file describes; the caller holds the compiler lock."""
     if codegen._library_class is Library:  # an entry within an entry
         yield
         return

@@ -1,4 +1,4 @@
-"""Who starts the drive: the controlword, contacts of its terminals, or both.
+"""What starts the drive: the controlword, contacts at its terminals, or both.
 
 `AXIS.od.command_source` chooses. Frequency inverters are started by contacts: S1 enables, S2 starts
 clockwise, S3 anticlockwise, S8 resets a fault (the meaning of the start and reset contacts is
@@ -13,9 +13,9 @@ from .words import Command, Controlword, State
 
 
 class Source(IntEnum):
-    """What starts and stops, and whose fault reset counts."""
+    """What starts and stops the drive and resets its faults."""
 
-    CONTROLWORD = 0  # as CiA 402; no contact is looked at
+    CONTROLWORD = 0  # as in CiA 402; contacts have no effect
     CONTROLWORD_AND_CONTACTS = 1  # the controlword, while S1 and a start contact are closed
     CONTACTS = 2  # the terminals alone
     REMOTE_CONTACTS = 3  # the controlword's bits 0-7 are the contacts, with the terminal S1
@@ -28,7 +28,7 @@ START = S2 | S3
 
 @block
 def in_use(axis: Axis):
-    """Whether contacts are looked at."""
+    """Whether contacts have an effect."""
     return axis.od.command_source != Source.CONTROLWORD
 
 
@@ -58,7 +58,7 @@ def enabled(axis: Axis):
 
 @block
 def command(axis: Axis, asked):
-    """The command that counts instead of the controlword's: one step nearer to what is asked."""
+    """The command that replaces that of the controlword, one transition at a time."""
     axis.contacts = axis.terminals
     if axis.od.command_source == Source.REMOTE_CONTACTS:
         axis.contacts = closed(axis)

@@ -49,7 +49,7 @@ def velocity_cycle(axis: Axis):
 
 @block
 def _bring_in(axis: Axis):
-    """Bring what is an index or a divisor into its range, whatever a program wrote there."""
+    """Limit indices and divisors to their ranges, as a program may have written the record."""
     axis.state = min(max(axis.state, 0), LAST_STATE)
     axis.fault_raised = min(max(axis.fault_raised, 0), FAULT_CAUSES - 1)
     axis.homing_leg = min(max(axis.homing_leg, 0), homing.LAST_LEG)

@@ -1,4 +1,4 @@
-"""The DC link: a capacitor behind a rectifier, drained and charged by the motor, with a chopper.
+"""The DC link: a capacitor behind a rectifier and a brake chopper, discharged by the motor.
 
 The work of the torque on the shaft, by the encoder, is taken from the link; braking feeds it back,
 the voltage rises, the brake chopper turns the surplus into heat, and above the limit the drive

@@ -1,8 +1,8 @@
 """Device control: the CiA 402 state machine as a table, and the one writer of the state.
 
 Source of every row: CiA 402-2 / IEC 61800-7-201, device control, transitions 0-16. A pair of state
-and event that is not in TRANSITIONS is ignored; the state stays and the command is noted as
-refused. Commands act by level, each cycle; only the fault reset needs a rising edge.
+and event that is not in TRANSITIONS is ignored: the state stays and the command is noted as
+refused. Commands act by level in each cycle; only the fault reset needs a rising edge.
 """
 
 from enum import IntEnum
@@ -19,7 +19,7 @@ from .words import COMMANDS, Command, Mode, State
 
 
 class Event(IntEnum):
-    """Commands of the master, then what happens inside the drive."""
+    """Commands of the master, and events inside the drive."""
 
     NONE = Command.NONE
     SHUTDOWN = Command.SHUTDOWN
@@ -69,7 +69,7 @@ REACTION_CODE = tuple(
     for reaction in Reaction
 )
 
-# Not refused although they are not in a row: the command that led here is still standing.
+# Not refused although no row has them: the command that led to the state is still present.
 STANDING = (
     (_S.READY_TO_SWITCH_ON, _E.SHUTDOWN),
     (_S.SWITCHED_ON, _E.SWITCH_ON),
@@ -90,7 +90,7 @@ for _source, _event in STANDING:
 
 @block
 def run(axis: Axis):
-    """Let the state follow faults, the end of ramps and the controlword, in this order."""
+    """Update the state from faults, the end of ramps and the controlword, in this order."""
     controlword = int(axis.od.controlword)
     reset = contacts.reset_bit(axis)
     reset_edge = reset and not axis.reset_bit
@@ -124,7 +124,7 @@ def run(axis: Axis):
 
 @block
 def _permitted(axis: Axis, command):
-    """The command that counts: inputs and a lost connection outrank the controlword.
+    """The effective command: inputs and a lost connection override the controlword.
 
     Safe torque off acts as disable voltage, and the output stage obeys it in every state
     (`cascade.energised`); without the controller enable input the drive brakes
@@ -149,7 +149,7 @@ def _permitted(axis: Axis, command):
 
 @block
 def _reaction_cut_off(axis: Axis):
-    """Whether a fault reaction can brake no longer: torque is off, or a torque mode coasts."""
+    """Whether a fault reaction can no longer brake: torque is off, or a torque mode coasts."""
     if axis.state != State.FAULT_REACTION_ACTIVE:
         return False
     coasts = axis.torque_mode_coasts and axis.mode == Mode.PROFILE_TORQUE
@@ -158,7 +158,7 @@ def _reaction_cut_off(axis: Axis):
 
 @block
 def _may_finish(axis: Axis):
-    """Before the power goes off after an orderly stop the brake has to hold the axis."""
+    """Whether the power may go off after an orderly stop: the brake has to hold the axis."""
     return _quick_stop_stays(axis) or brake.gripped(axis)
 
 
@@ -214,7 +214,7 @@ def _command(axis: Axis, command):
 
 @rare
 def _ramp_then(axis: Axis, command, code):
-    """Transitions 5 and 8: at once, or after a ramp; -1 is the quick stop ramp of some models."""
+    """Take transition 5 or 8 at once or after a ramp; -1 is the quick stop ramp of some models."""
     kind = Stop.QUICK_STOP_RAMP if code < 0 else OPTION_STOP[option(code)]
     if kind == Stop.NONE:
         _apply(axis, command)
@@ -259,7 +259,7 @@ def _take_fault(axis: Axis):
             _stop_then(axis, 14, 0)
         return
     if axis.state == State.FAULT:
-        return  # entered and told, there is nothing left to stop
+        return  # already stopped
     axis.fault = cause
     was_energised = energised(axis)
     _apply(axis, Event.FAULT)

@@ -1,7 +1,7 @@
-"""Entries and blocks as dispatchers of Numba, which keep their code and compile it but once.
+"""Entries and blocks as Numba dispatchers that compile their code once and store it.
 
-Of the inner names of Numba, which change from release to release, some are used here, the others in
-`compiler` and `reach`: `jit` imports these files only with the releases they are written for.
+This file, `compiler` and `reach` use private names of Numba, which change from release to release,
+so `jit` imports them only with the release they were tested with.
 """
 
 import contextlib
@@ -21,13 +21,13 @@ from . import code_cache
 from .compiler import PASSES, Pipeline, compiling, without_linear_algebra
 from .reach import reach
 
-SECONDS_A_FUNCTION = 0.05  # of compiling, to tell how long it will take
-LONG = 2.0  # s; what takes longer tells its end as well
+SECONDS_A_FUNCTION = 0.05  # of compiling, to estimate the duration
+LONG = 2.0  # s; the end of a longer compilation is announced, too
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
 class _Locator(_CacheLocator):
-    """One folder; a file name and a stamp made of the digest, whatever the source's path or age."""
+    """One folder; file name and stamp follow from the digest, not from the source's path or age."""
 
     def __init__(self, function):
         self.digest, self.functions = reach(function, OPTIONS | PASSES)
@@ -52,7 +52,7 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """Numba's cache, which a damaged or a read-only folder does not stop."""
+    """Numba's cache, which continues with a damaged or read-only folder."""
 
     _impl_class = _Implementation
 
@@ -64,7 +64,7 @@ class _Cache(FunctionCache):
         return sig, codegen.magic_tuple()  # the code is in the digest
 
     def holds(self, sig, context) -> bool:
-        """Whether there is code for a signature, without reading it."""
+        """Whether the cache has code for a signature; does not read the code."""
         with self._damage_is_a_miss():
             name = self._cache_file._load_index().get(self._index_key(sig, context.codegen()))
             return name is not None and Path(self.cache_path, name).exists()
@@ -82,7 +82,7 @@ class _Cache(FunctionCache):
     def _damage_is_a_miss(self):
         try:
             yield
-        except Exception as error:  # whatever unpickling what is not a pickle raises
+        except Exception as error:  # unpickling damaged data may raise anything
             code_cache.say(f"{self._cache_file._index_path} is damaged ({error!r}): compiling anew")
             with contextlib.suppress(OSError):
                 self.flush()
@@ -95,8 +95,8 @@ class _Cache(FunctionCache):
             code_cache.cannot_keep(f"compiled code is not kept: {error}")
 
 
-if hasattr(os, "register_at_fork"):  # a fork waits until no other thread compiles, or the child
-    os.register_at_fork(  # would wait for a thread that it does not have
+if hasattr(os, "register_at_fork"):  # a fork waits until no thread compiles: the child would
+    os.register_at_fork(  # wait for a lock whose thread it does not have
         before=global_compiler_lock.acquire,
         after_in_parent=global_compiler_lock.release,
         after_in_child=global_compiler_lock.release,
@@ -104,13 +104,13 @@ if hasattr(os, "register_at_fork"):  # a fork waits until no other thread compil
 
 
 class Entry(CPUDispatcher):
-    """What Python calls: kept in the cache, and compiled by one process at a time."""
+    """A function that Python calls: stored in the cache, compiled by one process at a time."""
 
     def compile(self, sig):
-        """Load the code for a signature, or compile and keep it."""
+        """Load the code for a signature, or compile and store it."""
         with global_compiler_lock:
             without_linear_algebra()
-            if isinstance(self._cache, NullCache):  # now all the code it reaches is there
+            if isinstance(self._cache, NullCache):  # now all code that it reaches exists
                 self._cache = _Cache(self.py_func)
             cache, context = self._cache, self.targetctx
             if tuple(sigutils.normalize_signature(sig)[0]) in self.overloads:
@@ -130,22 +130,22 @@ class Entry(CPUDispatcher):
 
 
 def _plain(kind: types.Type) -> types.Type:
-    """A type without the value it had where the call stands: 3 and Cause.STO are integers."""
+    """The type without a literal value: 3 and Cause.I2T are integers."""
     kind = types.unliteral(kind)
     return kind.dtype if isinstance(kind, types.IntEnumMember) else kind
 
 
 class Block(CPUDispatcher):
-    """What compiled code calls: without the wrapper for Python, a fifth of the compile time.
+    """A function that compiled code calls: no wrapper for Python, which saves compile time.
 
-    Called from Python, as a test does, it is an entry of its own.
+    When a test calls it from Python, it becomes an entry of its own.
     """
 
     def get_call_template(self, args, kws):
-        """Compile for types, not for values, or a block were compiled once for each.
+        """Resolve a call by types and not by values, so that 2 and 3 share one compilation.
 
-        Of what is compiled only the very types of the call are offered: among several, Numba asks
-        whether one record is the beginning of another, and warns where it is.
+        Only the exact types of the call are offered. Among several, Numba would check whether one
+        record is the beginning of another, and warn if it is.
         """
         kws = {name: _plain(kind) for name, kind in kws.items()}
         template, names, args, kws = super().get_call_template(tuple(map(_plain, args)), kws)
@@ -153,7 +153,7 @@ class Block(CPUDispatcher):
         return template, names, args, kws
 
     def compile(self, sig):
-        """Without the clocks of Numba, each of which hears all that is below it."""
+        """Compile without Numba's timers and events."""
         with global_compiler_lock:
             args, result = sigutils.normalize_signature(sig)
             if tuple(args) not in self.overloads:
@@ -171,10 +171,10 @@ class Block(CPUDispatcher):
 
 
 class Rare(Block):
-    """What compiled code seldom calls: LLVM puts it, and the way to it, behind all else."""
+    """A block that is rarely called: LLVM places it and the path to it out of line."""
 
     def compile(self, sig):
-        """As a block, with LLVM's word for it."""
+        """Compile as a block and mark the function as cold."""
         with global_compiler_lock:
             args = tuple(sigutils.normalize_signature(sig)[0])
             known = args in self.overloads
@@ -186,16 +186,16 @@ class Rare(Block):
 
 
 def block(function, kind=Block):
-    """A dispatcher that compiled code calls."""
+    """Make a dispatcher that compiled code calls."""
     options = OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return kind(function, targetoptions=options, pipeline_class=Pipeline)
 
 
 def rare(function):
-    """A dispatcher that compiled code seldom calls."""
+    """Make a dispatcher that compiled code calls rarely."""
     return block(function, Rare)
 
 
 def entry(function):
-    """A dispatcher that Python calls."""
+    """Make a dispatcher that Python calls."""
     return Entry(function, targetoptions=OPTIONS | {"nopython": True}, pipeline_class=Pipeline)

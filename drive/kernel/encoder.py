@@ -1,7 +1,7 @@
 """The feedback: a quantised incremental encoder with an index pulse, and the axis switches.
 
-Sampled once a velocity cycle. What the drive believes (`counts`, `position`, `velocity`) never
-touches the true `shaft_angle` again. The encoder counts from where it was powered on, so an axis
+It is sampled once a velocity cycle; the drive's own values (`counts`, `position`, `velocity`) never
+use the true `shaft_angle` again. The encoder counts from its position at power-on, so an axis
 has no reference until it is homed; its index pulse lies at every whole revolution of the shaft.
 With `position_source` 1 positions, index and latches are those of a second encoder at the load, of
 the same resolution, and only the speed is the motor's: dual-loop control.

@@ -14,17 +14,17 @@ WARNING_ACTIVE = 0x8000  # bit of the last warning code
 
 
 class Cause(IntEnum):
-    """What can go wrong; rows of a model's faults.csv refer to these names."""
+    """Causes of faults; rows of a model's faults.csv refer to these names."""
 
     NONE = 0
-    ENCODER_LOSS = 1  # the feedback is lost or not a finite number
+    ENCODER_LOSS = 1  # the feedback is lost or not finite
     FOLLOWING_ERROR = 2
     OVERSPEED = 3
     I2T = 4  # the motor has borne its peak torque for too long
     MOTOR_TEMPERATURE = 5
     OVERVOLTAGE = 6  # DC link
     UNDERVOLTAGE = 7  # DC link
-    SET_POINT_LOSS = 8  # cyclic set-points stay away
+    SET_POINT_LOSS = 8  # cyclic set-points are missing
     CONNECTION = 9  # the bus is gone and 6007h asks for a fault
     SHORT_CIRCUIT = 10
     DRIVE_TEMPERATURE = 11
@@ -38,7 +38,7 @@ class Cause(IntEnum):
     NEGATIVE_BLOCKED = 19  # a limit switch blocks negative set-points
     POSITIVE_BLOCKED = 20
     SYNC_LOST = 21
-    GUARDING = 22  # the master's node guarding stays away
+    GUARDING = 22  # the master's node guarding is missing
     RPDO_TOO_SHORT = 23
     SOFTWARE_LIMIT_MIN = 24  # a software position limit stops the motion
     SOFTWARE_LIMIT_MAX = 25
@@ -51,13 +51,13 @@ class Cause(IntEnum):
 
 
 class Reaction(IntEnum):
-    """What a drive does about a cause."""
+    """Reaction of a drive to a cause."""
 
     IGNORE = 0
     WARNING = 1  # statusword bit 7, operation goes on
     OPTION_CODE = 2  # fault reaction option code 605Eh
     DISABLE = 3  # power stage off at once
-    QUICK_STOP = 4  # as quick stop option code 2, whatever 605Eh says
+    QUICK_STOP = 4  # as quick stop option code 2, independent of 605Eh
     CURRENT_LIMIT = 5  # as quick stop option code 3
 
 
@@ -65,7 +65,7 @@ class Reaction(IntEnum):
 def raise_fault(axis: Axis, cause):
     """Report that `cause` is present in this cycle.
 
-    The faults of a drive are a set: each cause is entered and told once, until all are reset
+    The faults of a drive are a set: each cause is entered and reported once, until all are reset
     (Metronix ARS 2000 5.5.1, Festo CMMP-AS 3.5.1). The first decides how the drive stops, unless
     a further one takes the power away at once (inferred).
     """
@@ -92,7 +92,7 @@ def raise_fault(axis: Axis, cause):
 def record(axis: Axis, cause):
     """Enter `cause` in 603Fh, 1001h and, newest first, in the history 1003h.
 
-    What is to be told on the bus does not depend on the history, which a master may clear.
+    Reports on the bus do not depend on the history, which a master may clear.
     """
     od = axis.od
     axis.event_code[axis.error_events % HISTORY] = axis.fault_code[cause]
@@ -109,7 +109,7 @@ def record(axis: Axis, cause):
 
 @block
 def expire_warnings(axis: Axis):
-    """Take back the warnings whose cause has not come again since the last position cycle."""
+    """Clear the warnings whose cause was not reported again in the last position cycle."""
     left = axis.warnings & axis.faults_present
     if left != axis.warnings:
         axis.warnings = left

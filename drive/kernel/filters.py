@@ -1,8 +1,8 @@
 """Filters of the torque command: two notch filters, then a low-pass.
 
 A notch is (s² + 2 d g w s + w²) / (s² + 2 d w s + w²) with the damping d of its poles and the gain
-g at its frequency w, as Tustin's method with its frequency kept makes it discrete (Åström,
-Wittenmark: Computer-Controlled Systems, 8.3).
+g at its frequency w, discretised by Tustin's method with prewarping at w (Åström, Wittenmark:
+Computer-Controlled Systems, 8.3).
 """
 
 import math
@@ -59,7 +59,7 @@ def run(axis: Axis, torque):
 
 @block
 def clear(axis: Axis):
-    """Begin anew, without torque."""
+    """Reset the filters to zero torque."""
     axis.command_filtered = 0.0
     for i in range(NOTCHES):
         axis.notch_state[i, 0] = axis.notch_state[i, 1] = 0.0

@@ -12,8 +12,8 @@ event, taken in the velocity cycle in which it came, is the home position.
   it in the direction of the search, the axis passes it and comes back (inferred).
 - A limit switch on the way either reverses the search (methods 7-14, 23-30) or ends it in error.
 - An index pulse right at the edge may be the next one in another run. Where it lies nearer than a
-  sixteenth of a revolution the drive warns, as long as it stays in homing mode: who mounts the axis
-  moves the switch, or turns the coupling, by half a revolution.
+  sixteenth of a revolution the drive warns, as long as it stays in homing mode: move the switch, or
+  turn the coupling, by half a revolution.
 - Afterwards the zero position is the home position plus the home offset 607Ch (CiA 402-2).
 """
 
@@ -33,7 +33,7 @@ from .words import Compatibility
 
 
 class Progress(IntEnum):
-    """What has become of homing since its last start."""
+    """Progress of homing since its last start."""
 
     IDLE = 0  # not started, or interrupted
     SEARCHING = 1
@@ -56,7 +56,7 @@ class HomingError(IntEnum):
     HALTED = 7  # only of models where halt ends homing in error
 
 
-# what a model may make a fault of, by HomingError
+# cause of a fault by HomingError, which a model may react to
 CAUSE = np.array(
     [
         {
@@ -146,7 +146,7 @@ METHODS = {
 }
 NUMBERS = tuple(sorted({*METHODS, *HERE}))
 
-# of a method: leg where the home switch is off, leg where it is on, legs
+# first leg with the home switch off, first leg with it on, legs
 Method = tuple[int, int, list[tuple[int, int, int, int, int]]]
 
 
@@ -177,7 +177,7 @@ LAST_LEG = STANDARD_LEGS + MAKER_LEGS - 1
 
 
 def with_own(axis, methods: Mapping[int, Method]) -> None:
-    """Write the methods of a drive model's own to a record, behind those of the standard."""
+    """Write the homing methods that a drive model defines to a record."""
     first, rows = _table(methods, STANDARD_LEGS)
     axis.maker_method[: len(first)] = [*first]
     axis.maker_first[: 2 * len(first)] = [place for pair in first.values() for place in pair]
@@ -222,8 +222,8 @@ def _first_leg(axis, on_home):
 
 @block
 def _leg(axis, row, column):
-    """A cell of the table of legs; those of the drive model follow those of the standard."""
-    row = min(max(row, 0), LAST_LEG)  # whatever a program wrote to the record
+    """A cell of the table of legs; legs of the drive model follow those of the standard."""
+    row = min(max(row, 0), LAST_LEG)  # a program may have written the record
     if row < STANDARD_LEGS:
         return LEGS[row, column]
     return int(axis.maker_leg[5 * (row - STANDARD_LEGS) + column])
@@ -241,7 +241,7 @@ def _method(axis):
 
 @block
 def abandon(axis, error):
-    """Note that a running homing ends without a result; who calls it stops the axis."""
+    """End a running homing without a result; the caller stops the axis."""
     if busy(axis):
         axis.homing_error = error
         cause = CAUSE[axis.homing_error]
@@ -291,7 +291,7 @@ def busy(axis):
 
 @block
 def pushing(axis):
-    """Whether the axis is on its way into a mechanical stop, with the torque of 2012h:01."""
+    """Whether the axis is moving against a mechanical stop, with the torque of 2012h:01."""
     return axis.homing == Progress.SEARCHING and _leg(axis, axis.homing_leg, UNTIL) == Event.STOP
 
 
@@ -339,7 +339,7 @@ def _search(axis):
 
 @block
 def _reached(axis, row, until):
-    """Events that need no exact count: a switch that is searched for, and a mechanical stop."""
+    """Whether an event without an exact count has come: a switch, or a mechanical stop."""
     if until == Event.STOP:
         return _at_stop(axis)
     if until == Event.INDEX or until & 1 == 0 or _leg(axis, row, NEXT) == END:
@@ -349,7 +349,7 @@ def _reached(axis, row, until):
 
 @block
 def _at_stop(axis):
-    """Standing still against the torque limit of 2012h:01 for the time of 2012h:02."""
+    """Whether the axis stands against the torque limit of 2012h:01 for the time of 2012h:02."""
     blocked = axis.standstill and abs(axis.torque_command) >= 0.99 * axis.homing_torque
     axis.stop_timer = axis.stop_timer + 1 if blocked else 0
     if axis.stop_timer <= axis.homing_stop_cycles:
@@ -379,7 +379,7 @@ def _next_leg(axis, row):
 
 @block
 def _look_at_index(axis):
-    """How far the index pulse lies behind the edge or stop; near 0 and 1 it may be another one."""
+    """Measure the distance from edge or stop to the index pulse; near 0 and 1 turns, warn."""
     way = abs(axis.latch_counts - axis.homing_start_counts) * axis.rad_per_increment
     turns = way / (2 * math.pi)
     axis.od.homing_index_distance = int(min(1000.0 * turns, 65535.0))

@@ -1,14 +1,14 @@
 """Compile the blocks of the cycle with Numba, or run them as plain Python.
 
-`block` marks a box of the block diagram: compiled into whoever calls it, never on its own. `rare`
-marks one that is not entered in most cycles: it takes no room between those that are.
-`entry` marks the few functions Python calls; only these are kept, in `cache_directory`, each under
-the digest (`reach`) of all the code it is made of. Numba's own key sees one file only, and every
-comment in it. ``NUMBA_DISABLE_JIT=1`` runs all of it as ordinary Python.
+`block` marks a box of the block diagram. It is compiled into its callers and never on its own.
+`rare` marks a block that most cycles skip; its code is placed behind the code of the others.
+`entry` marks the few functions that Python calls. Only entries are stored in `cache_directory`,
+each under the digest (`reach`) of all the code that it consists of. Numba's own key covers a single
+file, including its comments. ``NUMBA_DISABLE_JIT=1`` runs everything as ordinary Python.
 
-That takes inner names of Numba, which another release may not have or mean otherwise. So with a
-release that was not tested, or with ``SERVOGYM_PLAIN_NUMBA=1``, both are ``numba.njit`` and nothing
-else of Numba: the same results, but all is compiled anew in each process, minutes for a machine.
+This uses private names of Numba, which may change with any release. With a release that was not
+tested, or with ``SERVOGYM_PLAIN_NUMBA=1``, all three are ``numba.njit``. The results are the same,
+but each process compiles everything anew, which takes minutes for a machine.
 """
 
 import linecache
@@ -24,12 +24,12 @@ __all__ = [
     "DISABLED", "PLAIN", "TESTED", "block", "block_of_lines", "cache_directory", "entry", "rare",
 ]
 
-TESTED = "0.68"  # releases of Numba whose inner names `dispatchers` and its like are written for
+TESTED = "0.68"  # release of Numba whose private names `dispatchers`, `compiler` and `reach` use
 DISABLED = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 
 def _unusable() -> str:
-    """Why Numba's inner names are not used; empty where they are."""
+    """Why Numba's private names are not used; empty if they are."""
     if os.environ.get("SERVOGYM_PLAIN_NUMBA"):
         return "SERVOGYM_PLAIN_NUMBA is set"
     if not numba.__version__.startswith(f"{TESTED}."):
@@ -52,7 +52,7 @@ if DISABLED:
 
     rare = entry = block
 elif PLAIN:
-    say(f"{_why}: all is compiled anew at each start (minutes), numba=={TESTED}.* keeps it",
+    say(f"{_why}: the code is compiled anew at each start (minutes); numba=={TESTED}.* stores it",
         always=True)
     block = rare = entry = numba.njit(error_model="numpy", nogil=True)
 else:
@@ -62,10 +62,10 @@ else:
 def block_of_lines(
     name: str, arguments: str, lines: Iterable[str], names: dict[str, Any]
 ) -> Callable[..., Any]:
-    """A block from the lines of its body, which a table has made; they see `names`.
+    """Make a block from the lines of its body, which were generated from a table.
 
-    They are ordinary source: a traceback, a debugger and `inspect.getsource` show them, and without
-    JIT they run line by line.
+    The lines are ordinary source: tracebacks, debuggers and `inspect.getsource` show them, and
+    without JIT they run line by line. `names` are their globals.
     """
     source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in lines)
     file = f"<servogym {names['__name__']}.{name}>"

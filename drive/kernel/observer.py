@@ -1,7 +1,7 @@
 """A Luenberger observer of the speed, for encoders of few increments a revolution.
 
-It knows position, speed and the torque of the load of an inertia that the drive's torque turns, and
-corrects them by what the encoder shows, the middle of an increment. All three poles lie at the
+It estimates position, speed and load torque of an inertia that the drive accelerates, and corrects
+them by the encoder, which counts as the middle of an increment. All three poles lie at the
 bandwidth (Ellis: Observers in Control Systems, 4.5; the load as in 7.3).
 """
 
@@ -38,7 +38,7 @@ def run(axis: Axis):
         return
     seen = (axis.motor_counts + 0.5) * axis.rad_per_increment
     period = axis.velocity_period
-    # it begins at power-on, and where it cannot be: half a turn off, or not a number
+    # it starts at power-on, and again half a turn off or with nan
     if axis.cycle_count <= 1 or not abs(axis.observed[0] - seen) < math.pi:
         axis.observed[0], axis.observed[1], axis.observed[2] = seen, 0.0, 0.0
     acceleration = axis.torque / axis.observer_inertia + axis.observed[2]

@@ -1,7 +1,7 @@
 """Setpoint generators: one profile of constant-jerk segments for moves, ramps and stops.
 
-A profile starts from the present demand (position, velocity, acceleration), whatever it is, and is
-travelled in closed form, so it ends exactly where and when planned.
+A profile starts from any present demand (position, velocity, acceleration) and is travelled in
+closed form, so it ends exactly where and when planned.
 
 The one building block is the ramp: the quickest change from (velocity, acceleration) to (goal, 0).
 Along constant jerk the square of the acceleration is linear in the velocity, a²/2 = j · v, so a
@@ -529,7 +529,7 @@ def rest(axis: Axis):
 
 @block
 def close_position_loop(axis: Axis):
-    """Take the axis over into position control without a jump, from whatever loop was closed."""
+    """Change to position control without a jump, from any loop."""
     if axis.control == Control.POSITION:
         return
     if axis.control == Control.TORQUE:

@@ -1,12 +1,13 @@
-"""What a compiled function is made of, as a digest: the key of its compiled code.
+"""A digest of everything that a compiled function depends on: the key of its compiled code.
 
-The digest covers the byte code of a function, and of all it can reach by name: functions,
-constants, enumerations, dtypes, values of closures, attributes of modules. Comments, docstrings,
-line numbers and paths are not in it, so what is compiled alike has one digest in every checkout.
+The digest covers the byte code of a function and of everything that it can reach by name:
+functions, constants, enumerations, dtypes, values of closures, attributes of modules. Comments,
+docstrings, line numbers and paths are left out, so equal code has the same digest in every
+checkout.
 
-It errs on the safe side: of a module every attribute counts whose name stands somewhere in the
-function. What it cannot see is an implementation given to Numba for a function from elsewhere
-(``numba.extending.overload`` of another file).
+It errs on the safe side: every attribute of a module counts whose name occurs in the function. It
+does not cover implementations that another file registers with Numba
+(``numba.extending.overload``).
 """
 
 import dis
@@ -26,17 +27,17 @@ from numba.core import config
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-# code of these counts by its name and the versions in the digest, not by what it does
+# their code counts by its name and by the versions in the digest
 _TOOLS = frozenset(sys.stdlib_module_names) | {"numba", "numpy", "llvmlite", "mujoco"}
 _SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
 
 def reach(function: FunctionType, options: dict[str, Any]) -> tuple[str, int]:
-    """Digest of what compiling `function` takes in, and how many functions these are.
+    """Return the digest of everything that `function` depends on, and the number of functions.
 
     Args:
-        function: plain Python function, as Numba gets it.
-        options: of Numba, for it.
+        function: plain Python function.
+        options: options of Numba for it.
     """
     found = _Reach()
     found.feed((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
@@ -50,15 +51,15 @@ class _Reach:
     def __init__(self):
         self.hash = hashlib.sha256()
         self.functions = 0
-        self._seen: dict[int, tuple[int, Any]] = {}  # holds what it knows, or an id came twice
+        self._seen: dict[int, tuple[int, Any]] = {}  # holds the values, or an id could recur
 
     def add(self, *words) -> None:
-        """Take in words and numbers as they are written."""
+        """Add the representations of values."""
         for word in words:
             self.hash.update(f"{word!r}\0".encode())
 
     def feed(self, value: Any) -> None:
-        """Take in a value, by the first row of `_KINDS` it belongs to."""
+        """Add a value by the first row of `_KINDS` that fits it."""
         if isinstance(value, _ONCE):
             if id(value) in self._seen:
                 self.add("seen", self._seen[id(value)][0])
@@ -73,12 +74,12 @@ class _Reach:
 
 
 def _names(code: CodeType) -> set[str]:
-    """All names in a function and in those inside it, of globals and of attributes."""
+    """Names of globals and attributes in a function and its inner functions."""
     return set(code.co_names).union(*map(_names, _inner(code)))
 
 
 def _globals(code: CodeType) -> set[str]:
-    """Names of globals in a function and in those inside it."""
+    """Names of globals in a function and its inner functions."""
     indices = {argument >> 1 for operation, argument in _instructions(code) if operation == _GLOBAL}
     return {code.co_names[index] for index in indices}.union(*map(_globals, _inner(code)))
 
@@ -113,7 +114,7 @@ def _function(found: _Reach, function: FunctionType) -> None:
 
 
 def _named(found: _Reach, name: str, value: Any, names: set[str], inside: set[int]) -> None:
-    """Take in what a name stands for; of a module what `names` can mean in it."""
+    """Add the value of a name; of a module, the attributes that are among `names`."""
     found.add(name)
     if not isinstance(value, ModuleType):
         found.feed(value)
@@ -131,7 +132,7 @@ def _of_tools(module: str | None) -> bool:
 
 
 def _code(found: _Reach, code: CodeType) -> None:
-    """Byte code with its constants in the order of their use: a docstring is used by nobody."""
+    """Add byte code with its constants in the order of their use, which omits docstrings."""
     found.add(
         code.co_name, code.co_flags, code.co_names, code.co_varnames, code.co_freevars,
         code.co_cellvars, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount,
@@ -179,7 +180,7 @@ def _sequence(found: _Reach, values: tuple | list) -> None:
 
 
 def _set(found: _Reach, values: frozenset | set) -> None:
-    """In an order that does not depend on the hashes of strings."""
+    """Add members in an order that does not depend on the hashes of strings."""
     _sequence(found, sorted(values, key=lambda value: (type(value).__name__, repr(value))))
 
 
@@ -228,7 +229,7 @@ def _module(found: _Reach, module: ModuleType) -> None:
 
 
 def _exotic(found: _Reach, value: Any) -> None:
-    """Anything else is read where Numba knows its type; if it does not, nothing compiled has it."""
+    """Add any other value if Numba has a type for it; otherwise compiled code cannot use it."""
     found.feed(type(value))
     try:
         found.add(str(numba.typeof(value)), pickle.dumps(value))
@@ -236,7 +237,7 @@ def _exotic(found: _Reach, value: Any) -> None:
         found.add("unknown to Numba")
 
 
-# taken in once; equal constants may be one object or two, as the interpreter likes
+# added once; equal constants may be one object or two, at the interpreter's discretion
 _ONCE = (FunctionType, CodeType, type)
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 # an integer may be a member, a float may be NumPy's: those come first

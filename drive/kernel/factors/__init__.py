@@ -1,10 +1,10 @@
-"""The border between drive units and SI: the only room that converts.
+"""The conversion between drive units and SI units, which happens only here.
 
-``receive`` turns the raw objects of a record into SI parameters after any of them was written,
-``publish`` turns what the cycle found into raw objects. Positions are rounded to the nearest unit,
-halves upwards; an INTEGER32 position wraps as a counter does, every other value saturates.
-`units` has the factor group, `stored` the values that keep their meaning when it changes, `rows`
-what the rows of the table of quantities say; here is what several quantities make together.
+``receive`` converts the raw objects of a record into SI parameters after any of them was written;
+``publish`` converts the results of the cycle into raw objects. Positions are rounded to the nearest
+unit, halves upwards; an INTEGER32 position wraps as a counter does, any other value saturates.
+`units` contains the factor group, `stored` the values that keep their meaning when it changes, and
+`rows` the conversions of single quantities; this file combines several of them.
 """
 
 import math
@@ -21,7 +21,7 @@ from .units import measure, product
 SINE_SQUARED, JERK_FREE, JERK_LIMITED = 1, 2, 3  # motion profile types
 JERK_FREE_TIME = 0.02  # s, until a jerk-free ramp has its acceleration (inferred)
 TURN_OPTION = (0, 3, 3, 0, 2, 1)  # position range mode -> `limits.nearest_turn`
-# places of what several values make together
+# places of values that are combined
 SOFTWARE_POSITION_LIMIT = PLACES["software_position_limit"]
 POSITION_RANGE_LIMIT = PLACES["position_range_limit"]
 PROFILE_ACCELERATION = PLACES["profile_acceleration"]  # and 6084h behind it
@@ -33,7 +33,7 @@ SET_POSITION = PLACES["set_position"]
 def receive(axis: Axis):
     """Derive every SI parameter from the raw objects (drive units) of `axis`.
 
-    First each object alone, as its row of the table says, then what several make together.
+    The rows of the table convert each object alone; then several are combined.
     """
     od = axis.od
     axis.parameters_changed = 0
@@ -75,7 +75,7 @@ def receive(axis: Axis):
 
 @block
 def _ends(axis: Axis):
-    """607Dh and 607Bh: both ends in order, or no limit and no range."""
+    """Set the limits of 607Dh and the range of 607Bh; without two ends in order there is none."""
     od = axis.od
     first, second = axis.position_limit_min, axis.position_limit_max
     axis.position_limit_min = min(first, second)
@@ -98,7 +98,7 @@ def _ends(axis: Axis):
 
 @block
 def _jerk(axis: Axis):
-    """60A4h by the number of jerks in use, 60A3h, or what another profile type 6086h asks for."""
+    """Set the jerks from 60A4h by their number in use, 60A3h, or as the profile type 6086h asks."""
     jerks = max(int(axis.od.profile_jerk_use), 1)  # 1: for all, 2: acceleration and deceleration, 4
     kind = axis.od.motion_profile_type
     written = (axis.jerk[0], axis.jerk[1], axis.jerk[2], axis.jerk[3])
@@ -113,7 +113,7 @@ def _jerk(axis: Axis):
 
 @block
 def _velocity_ramps(axis: Axis):
-    """2090h: a write of 6083h or 6084h goes there too, for both directions (Metronix 8.6)."""
+    """Copy a write of 6083h or 6084h to 2090h, for both directions (Metronix 8.6)."""
     od = axis.od
     for k in range(2):
         number = od.profile_deceleration if k else od.profile_acceleration
@@ -129,7 +129,7 @@ def _velocity_ramps(axis: Axis):
 
 @block
 def _vl(axis: Axis):
-    """Velocity mode: vl units are 1/min times the dimension factor 604Ch."""
+    """Set the target and ramps of velocity mode; a vl unit is 1/min times 604Ch."""
     od = axis.od
     if od.vl_dimension_factor[1] == 0 or od.vl_set_point_factor[1] == 0:
         return  # a drive without this mode
@@ -166,7 +166,7 @@ def _vl(axis: Axis):
 
 @block
 def _vl_ramp(axis: Axis, speed, time):
-    """Speed over time (rad/s²); a time of 0 s is the steepest ramp: all speed in one cycle."""
+    """Speed over time (rad/s²); a time of 0 s is the steepest ramp, full speed in one cycle."""
     steepest = max(axis.max_speed, 1.0) / axis.position_period
     if time == 0:
         return steepest
@@ -175,7 +175,7 @@ def _vl_ramp(axis: Axis, speed, time):
 
 @block
 def _follow(axis: Axis):
-    """Show what is stored in the units that are in force now, if they are others than before."""
+    """Show stored values in the present units if these have changed."""
     od = axis.od
     position, velocity = axis.rad_per_position_unit, axis.rad_s_per_velocity_unit
     new = (position, velocity, abs(position), abs(velocity), axis.rad_s2_per_acceleration_unit)
@@ -216,7 +216,7 @@ def _units(axis: Axis):
 
 @entry
 def units_changed(axes, index):
-    """Let the numbers of stored values follow the factors now; the next cycle would do it, too."""
+    """Convert stored values to the present factors now instead of in the next cycle."""
     _units(axes[index])
 
 
@@ -240,7 +240,7 @@ def increments_to_units(axis: Axis, increments):
 
 @rare
 def set_position(axis: Axis):
-    """2030h of some models: the present position gets a value; nothing moves."""
+    """Give the present position a value (2030h of some models); nothing moves."""
     axis.set_position_wanted = 0
     wanted = value(axis, SET_POSITION, axis.od.set_position, axis.rad_per_position_unit)
     increments = int(math.floor(wanted / axis.rad_per_increment + 0.5))
@@ -261,7 +261,7 @@ def _count32(position):
 
 @block
 def _in_range(axis: Axis, units):
-    """A position as 607Bh shows it: past one limit it goes on at the other."""
+    """A position as 607Bh shows it: it wraps from one limit to the other."""
     first, second = axis.od.position_range_limit[0], axis.od.position_range_limit[1]
     if axis.range <= 0.0 or first == second:
         return units
@@ -271,7 +271,7 @@ def _in_range(axis: Axis, units):
 
 @block
 def publish(axis: Axis):
-    """Write every object a master can read of this cycle."""
+    """Write every object in which a master can read the results of this cycle."""
     od = axis.od
     counts = axis.counts - axis.zero_counts
     od.position_actual_internal_value = _wrapped32(counts)

@@ -1,6 +1,6 @@
-"""The rows of the table of quantities as code of the kernel: one line each.
+"""The rows of the table of quantities as code of the kernel, one line each.
 
-Numba needs a field by its name, so the lines are written from `record.OBJECTS` when this file is
+Numba accesses fields by name, so the lines are generated from `record.OBJECTS` when this file is
 imported (`jit.block_of_lines`).
 """
 
@@ -13,14 +13,14 @@ from ..jit import block, block_of_lines
 from ..record import OBJECTS, PLACES, SIZES, Axis, Kind, Quantity
 from . import stored
 
-SIZE = {  # unit of the factor group -> its size where a value is received
+SIZE = {  # kind of unit -> expression of its size when a value is received
     Kind.POSITION: "axis.rad_per_position_unit",
     Kind.VELOCITY: "axis.rad_s_per_velocity_unit",
     Kind.WIDTH: "abs(axis.rad_per_position_unit)",
     Kind.SPEED: "abs(axis.rad_s_per_velocity_unit)",
     Kind.ACCELERATION: "axis.rad_s2_per_acceleration_unit",
 }
-PER = {  # unit of an object -> units per SI, where it is shown
+PER = {  # unit of an object -> expression of units per SI unit when it is shown
     "position unit": "1.0 / axis.rad_per_position_unit",
     "velocity unit": "1.0 / axis.rad_s_per_velocity_unit",
     "rated torque/1000": "1e3 / axis.rated_torque",
@@ -41,7 +41,7 @@ RECEIVED = {  # how -> value in SI of `value` (SI) or, with a unit of its own, `
 
 
 def _elements(row: Quantity) -> Iterator[tuple[str, str, int]]:
-    """Object, field in SI, if any, and place of each value of a row."""
+    """Object, field in SI (if any) and index of each value of a row."""
     names = row.si.split()
     for n in range(max(row.elements, 1)):
         index = f"[{n}]" if row.elements else ""
@@ -50,7 +50,7 @@ def _elements(row: Quantity) -> Iterator[tuple[str, str, int]]:
 
 
 def _sizes(expressions: Iterable[str]) -> dict[str, str]:
-    """A variable for each expression, once."""
+    """A variable for each distinct expression."""
     return {text: f"size_{n}" for n, text in enumerate(dict.fromkeys(expressions))}
 
 
@@ -59,7 +59,7 @@ def _size(row: Quantity) -> str:
 
 
 def receive_lines() -> Iterator[str]:
-    """Each object with a field in SI, into that field."""
+    """Lines that convert each object with a field in SI into that field."""
     rows = [row for row in OBJECTS if row.fields]
     sizes = _sizes(_size(row) for row in rows)
     yield from (f"{name} = {text}" for text, name in sizes.items())
@@ -72,7 +72,7 @@ def receive_lines() -> Iterator[str]:
 
 
 def publish_lines() -> Iterator[str]:
-    """Each object that shows a field in SI, from that field."""
+    """Lines that set each object that shows a field in SI."""
     rows = [row for row in OBJECTS if row.how == "shown"]
     sizes = _sizes(PER[row.unit] for row in rows if row.unit)
     yield from (f"{name} = {text}" for text, name in sizes.items())
@@ -84,7 +84,7 @@ def publish_lines() -> Iterator[str]:
 
 
 def show_lines() -> Iterator[str]:
-    """Each value that is kept, as a number in new units."""
+    """Lines that express each kept value in new units."""
     for row in OBJECTS:
         if row.kept:
             assert row.kind is not None
@@ -99,7 +99,7 @@ def show_lines() -> Iterator[str]:
 
 @block
 def rate(value, unit):
-    """An acceleration; 0, which process data may bring, counts as one unit."""
+    """An acceleration, where 0, which process data may bring, counts as one unit."""
     return value if value > 0.0 else unit
 
 

@@ -1,8 +1,9 @@
 """Stored values that keep their meaning when a factor or the polarity changes.
 
-In models with `values_keep_meaning` an object stores a value, not its number: after the change it
-shows the same value in the new units (Metronix ARS 2000 6.3.1, 6.3.2.5; Festo CMMP-AS 5.3). Kept is
-each value as it was written, with the unit of then, so that rounding for the eye moves nothing.
+In models with `values_keep_meaning` an object stores a value and not its number: after the change
+it shows the same value in the new units (Metronix ARS 2000 6.3.1, 6.3.2.5; Festo CMMP-AS 5.3). The
+record keeps each value as it was written, with the unit of that time, so that rounding affects only
+the displayed number.
 """
 
 import math
@@ -18,7 +19,7 @@ FARTHEST = 2.0**33  # beyond what any object shows
 
 @block
 def show_own(axis: Axis, new):
-    """Show kept values of objects whose bytes belong to the model alone."""
+    """Show kept values of objects in the model's own bytes."""
     for j in range(OWN_STORED):
         size = abs(int(axis.own_size[j]))
         if not 0 < size <= 8 or axis.own_kind[j] >= KINDS:
@@ -40,7 +41,7 @@ def show_own(axis: Axis, new):
 
 @block
 def shown(axis: Axis, n, number, kind, new, low, high):
-    """The number of stored value `n` in new units; how it was written is kept."""
+    """The number of stored value `n` in new units; the value as written is kept."""
     if number > high:
         axis.kept_shown[n] = WRITTEN
         return number  # a window that is switched off
@@ -65,12 +66,12 @@ def _rounded(number, ratio, a, b, c, d):
     """`number` * `ratio` to the nearest, halves upwards; the ratio is ``a / b / (c / d)``."""
     about = min(max(number * ratio, -FARTHEST), FARTHEST)
     shown = int(math.floor(about + 0.5))
-    p, q = a * d, b * c  # of these only q has to fit, see below
+    p, q = a * d, b * c  # only q has to fit, see below
     if abs(about) == FARTHEST or q == 0 or abs(float(b) * float(c)) >= EXACT:
         return shown
     if q < 0:
         p, q = -p, -q
-    beyond = 2 * number * p - (2 * shown - 1) * q  # a small number: what overflows cancels
+    beyond = 2 * number * p - (2 * shown - 1) * q  # a small number: overflows cancel
     if beyond < 0:
         return shown - 1
     return shown + 1 if beyond >= 2 * q else shown
@@ -78,7 +79,7 @@ def _rounded(number, ratio, a, b, c, d):
 
 @block
 def value(axis: Axis, n, number, unit):
-    """Stored value `n` (SI): as it was written, or the number it has been given since."""
+    """Stored value `n` (SI): as it was written, or the number that was written since."""
     if axis.converted and axis.kept_shown[n] == number:
         return axis.kept_raw[n] * axis.kept_unit[n]
     return number * unit
@@ -86,7 +87,7 @@ def value(axis: Axis, n, number, unit):
 
 @block
 def ordered(axis: Axis, n, low, high):
-    """Whether of a pair of stored values the first is the lower one, as they were written."""
+    """Whether the first of a pair of stored values is the lower one, as they were written."""
     if axis.converted and axis.kept_shown[n] == low and axis.kept_shown[n + 1] == high:
         first = axis.kept_raw[n] * abs(axis.kept_unit[n])
         return first < axis.kept_raw[n + 1] * abs(axis.kept_unit[n + 1])

@@ -1,7 +1,7 @@
-"""The units of the factor group: their size in SI, and as exact fractions of revolutions and s.
+"""The units of the factor group: their size in SI, and exact fractions of revolutions and s.
 
 Factor group as in CiA 402-2 / IEC 61800-7-201: position units = increments * (608Fh) * (6091h) *
-(6092h), or for models that say so the older one of DSP 402 V2 (6093h, 6094h, 6097h). All are
+(6092h), or in models with `older_factor_group` that of DSP 402 V2 (6093h, 6094h, 6097h). All are
 integers, reduced to one exact fraction.
 """
 
@@ -19,8 +19,8 @@ EXACT = 1 << 60  # of both parts of a fraction of revolutions and s
 def measure(axis: Axis):
     """Size of the units in SI, signed by the polarity.
 
-    With a factor of 0, or a fraction too long to be exact, the last ones hold: the objects refuse
-    both, process data and programs may bring them, and a division by them would end the process.
+    With a factor of 0, or a fraction too long to be exact, the last units hold. Objects refuse
+    both, but process data and programs may bring them, and a division by 0 would end the process.
     """
     od = axis.od
     if _zero(od, axis.older_factor_group):
@@ -47,7 +47,7 @@ def measure(axis: Axis):
 
 @block
 def _zero(od: Objects, older):
-    """Whether a factor in use is 0, which only process data can bring."""
+    """Whether a factor in use is 0, which only process data and programs can bring."""
     a, b, c = od.gear_ratio, od.feed_constant, od.velocity_factor
     if older:
         a, b, c = od.position_factor, od.position_factor, od.velocity_encoder_factor
@@ -57,7 +57,7 @@ def _zero(od: Objects, older):
 
 @block
 def fraction(od: Objects):
-    """Position units per increment as a reduced fraction; objects.py keeps it below 2^31."""
+    """Position units per increment as a reduced fraction; objects keep it below 2^31."""
     a, b = int(od.position_encoder_resolution[1]), int(od.position_encoder_resolution[0])
     c, d = int(od.gear_ratio[1]), int(od.gear_ratio[0])
     e, f = int(od.feed_constant[0]), int(od.feed_constant[1])

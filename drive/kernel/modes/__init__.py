@@ -1,8 +1,8 @@
-"""Modes of operation: which one is active, and what it asks the cascade to do.
+"""Modes of operation: the selection of the active one, and its calls.
 
-Each mode is a file with three functions on the record: `start` takes the demand over where the last
-owner left it, `demand` makes the demand of one position cycle, `status` sets its statusword bits,
-which are 0 before. Modes with negative numbers come with a drive model, see `own`.
+Each mode is a file with three functions on the record: `start` continues from the present demand,
+`demand` computes the demand of one position cycle, and `status` sets the statusword bits of the
+mode, which are 0 before. Modes with negative numbers come with a drive model, see `own`.
 """
 
 from collections.abc import Callable
@@ -46,7 +46,7 @@ _start, _demand, _status = map(_of_active_mode, ("start", "demand", "status"))
 
 @block
 def demand(axis):
-    """Select the mode, obey halt and stops, and let the mode make its demand."""
+    """Select the mode, handle halt and stops, and let the mode compute its demand."""
     controlword = int(axis.od.controlword)
     _select(axis)
     bit4 = 1 if controlword & Controlword.NEW_SET_POINT else 0
@@ -75,7 +75,7 @@ def demand(axis):
         elif not brake.waits(axis):
             _demand_of_mode(axis)
         elif axis.mode == Mode.HOMING:
-            bit4 = 0  # the start is seen when the brake has let go
+            bit4 = 0  # the rising edge counts once the brake is released
     axis.bit4 = bit4
     if axis.sync == Latched.CYCLIC:
         axis.synchronised = axis.mode_started
@@ -87,7 +87,7 @@ def demand(axis):
 
 @block
 def _select(axis):
-    """Follow 6060h to a supported mode; anything else leaves the mode as it is."""
+    """Change to the mode in 6060h if it is supported."""
     requested = int(axis.od.modes_of_operation)
     if requested in (0, axis.mode) or not LOWEST_MODE <= requested <= HIGHEST_MODE:
         return
@@ -104,7 +104,7 @@ def _select(axis):
 
 @block
 def _halt(axis, controlword):
-    """Controlword bit 8 (halt option code 605Dh), where device control has no stop of its own."""
+    """Obey controlword bit 8 (halt option code 605Dh) unless device control is stopping the axis."""
     halt = 1 if controlword & Controlword.HALT else 0
     if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
         by_slope = axis.halt_ends_job and axis.mode == Mode.PROFILE_TORQUE

@@ -21,7 +21,7 @@ UNBUFFERED = -2
 
 @rare
 def start(axis: Axis):
-    """Hold, with whatever the buffer has."""
+    """Hold the position; the buffer keeps its records."""
     close_position_loop(axis)
     csp.hold(axis)
     axis.ip_active = 0

@@ -1,8 +1,8 @@
-"""Modes of operation that a drive model brings, compiled on their own and called by address.
+"""Modes of operation that a drive model defines, compiled separately and called by address.
 
-The compiled cycle is the same with and without them: it looks the active mode up in a table that
-lies outside of the code, so a new mode costs the second in which it is compiled itself, and a drive
-without one nothing. On a GPU there is no such table.
+The compiled cycle is the same with and without them. It looks up the active mode in a table outside
+of the code, so a new mode takes only the second in which it is compiled, and a drive without such
+modes loses no time. A GPU has no such table.
 """
 
 from collections.abc import Callable
@@ -123,7 +123,7 @@ else:
 
     @intrinsic
     def _of_table(typing, index):
-        """A number of the table, which compiled code knows by its symbol only; 0 on a GPU."""
+        """A number of the table, which compiled code reaches by its symbol; 0 on a GPU."""
 
         def code(context, builder, signature, arguments):
             if _on_gpu(context):

@@ -10,13 +10,13 @@ everything else
     what the control cycle works on, in SI units at the motor shaft (rad, rad/s, Nm, s), and the
     counters, which are whole cycles.
 
-`__init__.pyi` says all fields as types, for editors and mypy: `axis: Axis` completes `axis.od.`;
-``make stub`` writes it from the tables here.
+`__init__.pyi` declares the types of all fields for editors and mypy; ``make stub`` generates it
+from these tables.
 
-A quantity is one row: its object, its unit and what it is in SI (`variables.OBJECTS`, see
-`quantity`). From the rows are made the fields, the conversions of `factors`, which is the only
-place that converts, what keeps its meaning when units change, and the stub. Reset is an assignment,
-a snapshot is a copy of the bytes, many drives are an array, and two drives cannot share hidden
+A quantity is one row with its object, its unit and its field in SI (`variables.OBJECTS`, see
+`quantity`). The rows generate the fields, the conversions of `factors`, which is the only place
+that converts, the values that keep their meaning when units change, and the stub. A reset assigns a
+record, a snapshot copies its bytes, many drives are an array, and two drives cannot share hidden
 state.
 """
 
@@ -73,8 +73,8 @@ UNITS = {f"od.{row.field}": row.unit for row in OBJECTS} | {
 def accessible(dtype: np.dtype) -> np.dtype:
     """Return a dtype whose elements have their fields as attributes, as the kernel needs them.
 
-    Always the same object: compiled functions take arrays of another one, though it is equal, only
-    after a comparison of all fields, which takes 2 µs a call.
+    It is always the same object: with an equal dtype that is another object, a compiled function
+    compares all fields at each call, which takes 2 µs.
     """
     return np.dtype((np.record, dtype))
 

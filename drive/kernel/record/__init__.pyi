@@ -647,9 +647,9 @@ class Axis:
     position_denominator: int
     """position units per increment, reduced fraction"""
     converted: int
-    """units have changed since power-on: the following counts"""
+    """units have changed since power-on"""
     kept_shown: np.ndarray
-    """53 values; drive unit; the number shown; another one was written"""
+    """53 values; drive unit; the number shown; a write changes it"""
     kept_raw: np.ndarray
     """53 values; drive unit; the number as it was written"""
     kept_unit: np.ndarray
@@ -785,7 +785,7 @@ class Axis:
     outputs: int
     """digital outputs as they are, bits as in 60FEh (output_functions)"""
     outputs_told: np.ndarray
-    """2 values; 60FEh as it was obeyed last"""
+    """2 values; 60FEh in the last cycle"""
     cycle_count: int
     """position cycle; since power-on"""
     velocity_cycle: int
@@ -1041,15 +1041,15 @@ class Axis:
     brake_released: int
     """the brake lets the shaft turn"""
     brake_timer: int
-    """position cycle; since it was told to release or engage"""
+    """position cycle; since its last command"""
     brake_gripping: int
-    """the brake is told to grip before the power goes off"""
+    """the brake engages before the power goes off"""
     fault: int
     """`faults.Cause` that led to FAULT; 0 = none"""
     faults: int
     """bit n: cause n stops the drive or came afterwards, not reset yet"""
     fault_raised: int
-    """a cause device control has not yet seen; 0 = none"""
+    """a cause that device control has not handled yet; 0 = none"""
     faults_present: int
     """bit n: cause n is still present"""
     warnings: int

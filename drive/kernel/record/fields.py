@@ -1,7 +1,7 @@
-"""What the control cycle works on, as a table: the fields of the record beside `od`.
+"""The fields of the record beside `od` as a table: what the control cycle works on.
 
-In SI units at the motor shaft (rad, rad/s, Nm, s); counters are whole cycles. What an object is in
-SI stands in the row of the object, see `quantity`.
+They are in SI units at the motor shaft (rad, rad/s, Nm, s); counters are whole cycles. A field in
+SI that follows from a single object is defined in the row of the object, see `quantity`.
 """
 
 from .quantity import Kind
@@ -13,9 +13,9 @@ IP_RECORDS = 64  # interpolation data records
 KINDS = len(Kind)  # of units
 MAKER_METHODS, MAKER_LEGS = 4, 16  # homing methods of a drive model's own, and their legs
 OWN_STORED = 12  # objects of a model in such units, without kernel behaviour
-# values in such units: field of `od` -> its place in `kept_raw`, of an array the first one's
+# values in such units: field of `od` -> its place in `kept_raw`, or that of its first element
 PLACES: dict[str, int] = {}
-OWN = 0  # place of the first one without kernel behaviour
+OWN = 0  # place of the first object without kernel behaviour
 for _quantity in OBJECTS:
     if _quantity.kept:
         PLACES[_quantity.field] = OWN
@@ -78,8 +78,8 @@ FIELDS = (
     ("position_numerator", "i8", "", "position units per increment, reduced fraction"),
     ("position_denominator", "i8", "", "position units per increment, reduced fraction"),
     # values that keep their meaning, by `PLACES`, then those of the model's own bytes
-    ("converted", "u1", "", "units have changed since power-on: the following counts"),
-    ("kept_shown", ("i8", (STORED,)), "drive unit", "the number shown; another one was written"),
+    ("converted", "u1", "", "units have changed since power-on"),
+    ("kept_shown", ("i8", (STORED,)), "drive unit", "the number shown; a write changes it"),
     ("kept_raw", ("i8", (STORED,)), "drive unit", "the number as it was written"),
     ("kept_unit", ("f8", (STORED,)), "rad, rad/s, rad/s²", "the unit in which it was written"),
     ("kept_numerator", ("i8", (STORED,)), "", "the same in revolutions and s, exact; 0 = too long"),
@@ -151,7 +151,7 @@ FIELDS = (
     ("ambient_temperature", "f8", "degC", ""),
     # outputs to the plant
     ("outputs", "u4", "", "digital outputs as they are, bits as in 60FEh (output_functions)"),
-    ("outputs_told", ("u4", (2,)), "", "60FEh as it was obeyed last"),
+    ("outputs_told", ("u4", (2,)), "", "60FEh in the last cycle"),
     # time
     ("cycle_count", "i8", "position cycle", "since power-on"),
     ("velocity_cycle", "i8", "velocity cycle", "position within the position cycle"),
@@ -291,12 +291,12 @@ FIELDS = (
     ("probe_newest", ("u1", (2,)), "", "of each probe, 0 positive, 1 negative edge"),
     # holding brake
     ("brake_released", "u1", "", "the brake lets the shaft turn"),
-    ("brake_timer", "i8", "position cycle", "since it was told to release or engage"),
-    ("brake_gripping", "u1", "", "the brake is told to grip before the power goes off"),
+    ("brake_timer", "i8", "position cycle", "since its last command"),
+    ("brake_gripping", "u1", "", "the brake engages before the power goes off"),
     # faults
     ("fault", "i8", "", "`faults.Cause` that led to FAULT; 0 = none"),
     ("faults", "i8", "", "bit n: cause n stops the drive or came afterwards, not reset yet"),
-    ("fault_raised", "i8", "", "a cause device control has not yet seen; 0 = none"),
+    ("fault_raised", "i8", "", "a cause that device control has not handled yet; 0 = none"),
     ("faults_present", "i8", "", "bit n: cause n is still present"),
     ("warnings", "i8", "", "bit n: cause n is shown as a warning"),
     ("error_events", "i8", "", "entries made in the history since power-on"),

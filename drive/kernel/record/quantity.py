@@ -1,4 +1,4 @@
-"""What a row of the table of quantities says, and how big the units are in which objects stand."""
+"""The columns of the table of quantities, and the size of the units of objects."""
 
 import math
 from enum import IntEnum
@@ -8,7 +8,7 @@ RAD_S_PER_MINUTE = 2 * math.pi / 60
 
 
 class Kind(IntEnum):
-    """Units of the factor group; the first two change their sign with the polarity 607Eh."""
+    """Kinds of units of the factor group; polarity 607Eh changes the sign of the first two."""
 
     POSITION = 0
     VELOCITY = 1
@@ -20,24 +20,24 @@ class Kind(IntEnum):
 class Quantity(NamedTuple):
     """A quantity of the object dictionary: one row of `variables.OBJECTS`.
 
-    With `si` the control cycle works on it in SI. `factors` makes that from the object after any
-    write, in the way `how` says:
+    If it has `si`, the control cycle works on that field in SI units. `factors` computes the field
+    after any write of the object, as `how` states:
 
     ==========  ==========================================================================
     (nothing)   number times unit
-    rate        the same; 0, which only process data can bring, counts as one unit
-    amount      the same without its sign
-    limit       the same; 0 switches it off (inf)
-    window      the same; the largest number switches it off (inf)
+    rate        number times unit; 0, which only process data can bring, counts as one unit
+    amount      the magnitude of number times unit
+    limit       number times unit; 0 switches the limit off (inf)
+    window      number times unit; the largest number switches the window off (inf)
     cycles      ms as whole position cycles, rounded up
-    lag         a time as the share of a new sample, per velocity cycle
-    slow lag    the same, per position cycle
-    shown       the other way: the object shows what the cycle has found, saturated
+    lag         a time constant as the weight of a new sample, per velocity cycle
+    slow lag    a time constant as the weight of a new sample, per position cycle
+    shown       the reverse: the object shows the field of the cycle, saturated
     ==========  ==========================================================================
 
-    Without `si`, `factor` makes the units themselves, and `published` is written by a function of
-    its own. All else in units of the factor group is a value a master has written: it keeps its
-    meaning when the units change, see `factors.stored`.
+    Without `si`, a `factor` defines the units themselves, and a `published` object is written by a
+    function of its own. Any other object in units of the factor group holds a value that a master
+    has written; it keeps its meaning when the units change, see `factors.stored`.
     """
 
     field: str  # of `od`
@@ -54,12 +54,12 @@ class Quantity(NamedTuple):
 
     @property
     def code(self) -> str:
-        """Type of a value, as NumPy writes it."""
+        """NumPy type code of a value."""
         return self.type[0] if isinstance(self.type, tuple) else self.type
 
     @property
     def kind(self) -> Kind | None:
-        """Which unit of the factor group it has, None for any other."""
+        """Kind of its unit in the factor group, None for any other unit."""
         signed, unsigned = KINDS_OF_UNITS.get(self.unit, (None, None))
         return signed if "i" in self.code else unsigned
 
@@ -70,7 +70,7 @@ class Quantity(NamedTuple):
 
     @property
     def fields(self) -> tuple[tuple[str, str | tuple[str, tuple[int, ...]], str, str], ...]:
-        """Rows of the record for its values in SI."""
+        """Rows of the record for its values in SI units."""
         if not self.si or self.how == "shown":
             return ()
         names, unit = self.si.split(), SI_UNITS[self.unit]
@@ -89,7 +89,7 @@ KINDS_OF_UNITS = {  # unit -> of a signed type, of an unsigned one
     "acceleration unit": (Kind.ACCELERATION, Kind.ACCELERATION),
     "jerk unit": (Kind.ACCELERATION, Kind.ACCELERATION),
 }
-# unit of an object -> its size in SI: a number, or where the record has it
+# unit of an object -> its size in SI: a number, or an expression of the record
 SIZES: dict[str, float | str] = {
     "ms": 1e-3,
     "µs": 1e-6,
@@ -100,7 +100,7 @@ SIZES: dict[str, float | str] = {
     "rated torque/1000": "axis.rated_torque * 1e-3",
     "rated torque/1000 per s": "axis.rated_torque * 1e-3",
     "µNm·s/rad": 1e-6,
-    "position gain unit": "axis.position_gain_unit",  # as the model has it
+    "position gain unit": "axis.position_gain_unit",  # fixed by the model
     "velocity gain unit": "axis.velocity_gain_unit",
 }
 SI_UNITS = {

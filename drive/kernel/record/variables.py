@@ -1,6 +1,7 @@
-"""The object dictionary's variables that the kernel knows: the half `od` of the record, as a table.
+"""The variables of the object dictionary that the kernel uses: the half `od` of the record.
 
-In drive units and in the CiA 301 type of their object; a model's objects.csv binds objects to them.
+Each has the drive unit and the CiA 301 type of its object; a model's objects.csv binds objects to
+them.
 """
 
 from .quantity import Quantity
