@@ -1,14 +1,14 @@
-"""The emulated CiA 402 drive: the block diagram of a servo drive, one box a file.
+"""The emulated CiA 402 drive: the block diagram of a servo drive, one file for each box.
 
 kernel/  encoder -> device_control -> modes -> limits -> cascade -> torque   cycle.py has the order
             probe      |  stop, brake    ramps, homing    thermal, dc_link, monitor, sync, faults
                        contacts: what starts a frequency inverter instead of a master
-         record/ holds every quantity, factors.py converts units, statusword.py says how it went.
-model/   what makes a drive the one it is: a folder of files.
-objects/ the first door of a master: the dictionary, its hooks, what is stored. The second one is
-         process data. drive.py is the face of both.
-master/  who commands drives, on any bus: one class over ports.
-canopen/ and ethercat/ put them on a bus, in bytes and given time; wire/ has clock and sockets.
+         record/ holds every quantity, factors/ converts units, statusword.py reports the status.
+model/   loads a drive model from its folder of files.
+objects/ the object dictionary, its hooks, and stored parameters. drive.py joins it with the
+         process data.
+master/  commands drives on any bus: one class over ports.
+canopen/ and ethercat/ serve drives on a bus, in bytes and given time; wire/ has clock and sockets.
 """
 
 from .drive import Drive

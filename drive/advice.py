@@ -1,4 +1,4 @@
-"""What a drive shows in words: its faults, and what keeps it from obeying."""
+"""The status of a drive in words: its faults, and reasons why it does not obey."""
 
 import math
 
@@ -19,7 +19,7 @@ from .kernel.words import (
 )
 from .model.model import DriveModel
 
-# what has to be there for a command to be obeyed (CiA 402-2, transitions 2-16)
+# conditions of commands (CiA 402-2, transitions 2-16)
 OBEYED = {
     Command.SHUTDOWN: "it is obeyed in SWITCH_ON_DISABLED, SWITCHED_ON and OPERATION_ENABLED",
     Command.SWITCH_ON: "it is obeyed in READY_TO_SWITCH_ON: send shutdown (0006h) first",
@@ -30,7 +30,7 @@ OBEYED = {
     Command.FAULT_RESET: "it is obeyed in FAULT, when the cause of the fault is gone",
 }
 
-# where a command leads, seen from outside (CiA 402-2; after a quick stop 605Ah decides)
+# states to which a command leads (CiA 402-2; after a quick stop 605Ah decides)
 LEADS_TO = {
     Command.SHUTDOWN: (State.READY_TO_SWITCH_ON,),
     Command.SWITCH_ON: (State.SWITCHED_ON,),
@@ -42,7 +42,7 @@ LEADS_TO = {
     ),
 }
 
-# whatever the command: statusword bit, whether it is set, quirk and what it has to be, next step
+# hindrances of any command: statusword bit, whether it is set, quirk and its value, next step
 HINDRANCES = (
     (Statusword.REMOTE, False, "remote_bit", 0,
      "remote (bit 9) is 0: the drive is under local control, release it"),
@@ -56,7 +56,7 @@ HINDRANCES = (
      "internal_limit_active (bit 11): I²t limits the current, command less or wait"),
 )
 
-# what holds a drive back while bit 11 is set, of `AXIS.od.active_limits`
+# limits in `AXIS.od.active_limits` that hold a drive back while bit 11 is set
 HELD_BACK = {
     Limit.TORQUE: "the torque limit 6072h, 6073h, 60E0h or 60E1h: accelerate less",
     Limit.SPEED: "the speed limit 607Fh or 6080h: command less",
@@ -71,7 +71,7 @@ HELD_BACK = {
     "constant or a higher supply",
 }
 
-# what to do about a cause of faults (inferred from the causes; manuals say much the same)
+# remedies by cause (inferred from the causes; manuals recommend much the same)
 REMEDIES = {
     Cause.ENCODER_LOSS: "check encoder, plug and cable; the position is lost, home again",
     Cause.FOLLOWING_ERROR: "lower the acceleration 6083h or speed 6081h, look for friction or a "
@@ -103,7 +103,7 @@ REMEDIES = {
 }
 
 
-# faults behind which the loops may be
+# faults that the control loops may cause
 OF_LOOPS = (Cause.FOLLOWING_ERROR, Cause.POSITION_ERROR, Cause.OVERSPEED, Cause.I2T)
 
 
@@ -113,13 +113,13 @@ def describe(statusword: int, mode: int, own: OwnModes = NONE_OWN) -> str:
 
 
 def situation(statusword: int, controlword: int, mode: int) -> str:
-    """What the drive shows and what it was last told."""
+    """Statusword and last controlword in words."""
     words = " ".join(decode_controlword(controlword, mode))
     return f"statusword {describe(statusword, mode)}; last controlword {controlword:04X}h {words}"
 
 
 def advice(model: DriveModel, statusword: int, controlword: int) -> str:
-    """The next step where a drive does not do what the controlword says."""
+    """The next step if a drive does not obey the controlword."""
     hindrances = [
         text
         for bit, is_set, quirk, kind, text in HINDRANCES
@@ -134,7 +134,7 @@ def advice(model: DriveModel, statusword: int, controlword: int) -> str:
 
 
 def unheeded(model: DriveModel, statusword: int, controlword: int) -> str:
-    """Why a drive that is seen from outside is not where its controlword leads; or nothing."""
+    """Reason why a drive is not in the state to which its controlword leads; empty if it is."""
     state, command = state_of(statusword), command_of(controlword)
     if state is None or state in LEADS_TO.get(command, (state,)):
         return ""
@@ -146,20 +146,20 @@ def unheeded(model: DriveModel, statusword: int, controlword: int) -> str:
 
 
 def fault_named(model: DriveModel, code: int) -> str:
-    """An error code 603Fh with what the model calls it; nothing for 0."""
+    """An error code 603Fh with its meaning in the model; empty for 0."""
     words = next((fault.meaning for fault in model.faults if fault.code == code), "")
     return f"{code:04X}h {words}".strip() if code else ""
 
 
 def remedy_of(model: DriveModel, code: int) -> str:
-    """What to do about an error code 603Fh, where the drive is only seen from outside."""
+    """Remedy for an error code 603Fh, if the cause in the drive is unknown."""
     causes = (fault.cause for fault in model.faults if fault.code == code)
     known = (REMEDIES[cause] for cause in causes if cause in REMEDIES)
     return next(known, "look it up in the manual of the drive")
 
 
 def structure(axis: Axis) -> list[str]:
-    """What stands between position error and torque beside P over PI, and what that means."""
+    """Parts of the control loops other than the P-PI cascade, and their effects."""
     od, said = axis.od, []
     if od.control_structure == Structure.PID:
         p, i, d = od.pid_gain * 1e-6, od.pid_integral_gain * 1e-3, od.pid_derivative_gain * 1e-6
@@ -181,7 +181,7 @@ def structure(axis: Axis) -> list[str]:
     if od.observer_bandwidth > 0:
         inertia = od.observer_inertia * 1e-12 or od.acceleration_feed_forward * 1e-9
         said.append(
-            f"the speed is that of an observer of {0.1 * od.observer_bandwidth:g} Hz, told "
+            f"the speed is that of an observer of {0.1 * od.observer_bandwidth:g} Hz for "
             f"{inertia:.3g} kg·m²: with another inertia at the shaft it errs in acceleration"
         )
     constant = (od.motor_voltage_constant or od.motor_torque_constant) * 1e-6
@@ -195,9 +195,9 @@ def structure(axis: Axis) -> list[str]:
 
 
 def refusal(axis: Axis) -> str:
-    """Why the last command was refused: command, state, and what is missing.
+    """The reason of the last refusal: command, state, and missing condition.
 
-    Where none was: what holds the drive back, and what its loops have beside P over PI.
+    If there was none, the limits that hold the drive back and `structure`.
     """
     command = Command(int(axis.refused_command))
     if command is Command.NONE:
@@ -215,7 +215,7 @@ def refusal(axis: Axis) -> str:
 
 
 def meaning(model: DriveModel, axis: Axis, cause: int) -> str:
-    """Error code and words of a cause of faults, empty where the model has no row of it."""
+    """Error code and meaning of a cause of faults, empty if the model has no row for it."""
     code = int(axis.fault_code[cause])
     for fault in model.faults if cause else ():
         external = cause == Cause.EXTERNAL and fault.code == code
@@ -225,7 +225,7 @@ def meaning(model: DriveModel, axis: Axis, cause: int) -> str:
 
 
 def remedy(axis: Axis) -> str:
-    """What to do about the fault that has stopped the drive, and the next step."""
+    """Remedy for the fault that has stopped the drive, and the next step."""
     cause = Cause(int(axis.fault))
     present = axis.faults_present & ~axis.warnings & 1 << int(axis.fault)
     step = (
@@ -236,10 +236,10 @@ def remedy(axis: Axis) -> str:
 
 
 def cause_of(axis: Axis) -> str:
-    """The cause of the fault that has stopped the drive, as `Drive.inject` takes it; or nothing."""
+    """Name for `Drive.inject` of the cause that has stopped the drive; empty if there is none."""
     return Cause(int(axis.fault)).name.lower() if axis.fault else ""
 
 
 def refused(axis: Axis) -> str:
-    """The command that was refused last; or nothing."""
+    """The last refused command; empty if there is none."""
     return Command(int(axis.refused_command)).name if axis.refused_command else ""

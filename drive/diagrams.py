@@ -1,6 +1,6 @@
-"""What is drawn of a drive: states and transitions, words bit by bit, paths of homing methods.
+"""Diagrams of a drive: states and transitions, words bit by bit, paths of homing methods.
 
-Tables for those who show a drive to people and need nothing of its cycle.
+These tables serve user interfaces, which need nothing of the control cycle.
 """
 
 import math
@@ -37,7 +37,7 @@ __all__ = [
 
 
 class Transition(NamedTuple):
-    """An arrow of the state diagram; `controlword` commands it, None: it comes by itself."""
+    """An arrow of the state diagram; `controlword` commands it, None if it is automatic."""
 
     number: int
     source: State
@@ -70,7 +70,7 @@ OF_ITSELF = {
 
 
 def transitions() -> tuple[Transition, ...]:
-    """All of CiA 402-2 but transition 0, power-on."""
+    """All transitions of CiA 402-2 except transition 0, power-on."""
     found = []
     for number, source, event, target in TRANSITIONS:
         name, word = COMMANDED.get(event, (OF_ITSELF.get(event, ""), None))
@@ -129,7 +129,7 @@ def _bits(names: Mapping[Any, str], meanings: Mapping[Any, str]) -> tuple[Bit, .
 
 
 def limits(active: int) -> list[str]:
-    """Names of the limits that act, of `AXIS.limits`."""
+    """Names of the active limits, from `AXIS.limits`."""
     return [limit.name.lower().replace("_", " ") for limit in Limit if active & limit]
 
 
@@ -141,12 +141,12 @@ TO_THE_END = {3: (0.5, 2.0), 4: (0.5, 2.0), 5: (-1.0, 0.5), 6: (-1.0, 0.5)}
 
 
 def home_switch(method: int) -> tuple[float, float]:
-    """Where the home switch of the diagram is on; of some methods it goes on to the end."""
+    """Range of the home switch in the diagram; with some methods it extends to the end."""
     return TO_THE_END.get(method if method < 17 else method - 16, HOME)
 
 
 def _method(number: int, own: Mapping[int, Method] | None) -> Method:
-    """The legs of a homing method. Raises ValueError for one that is not known."""
+    """The legs of a homing method. Raises ValueError for an unknown one."""
     found = {**METHODS, **(own or {})}.get(number)
     if found is None:
         raise ValueError(f"homing method {number} is unknown")
@@ -154,11 +154,11 @@ def _method(number: int, own: Mapping[int, Method] | None) -> Method:
 
 
 def homing_path(method: int, start: float, own: Mapping[int, Method] | None = None) -> list[float]:
-    """Turning points of a homing run from `start` (0..1), the last is home; empty: it fails.
+    """Turning points of a homing run from `start` (0..1), ending at home; empty if it fails.
 
-    Methods of a drive model's `own` are those of `DriveModel.own_homing`.
+    `own` are the homing methods of the drive model (`DriveModel.own_homing`).
 
-    Raises ValueError for a method that is not known.
+    Raises ValueError for an unknown method.
     """
     if method in HERE:
         return [start]
@@ -197,11 +197,11 @@ _EVENTS = {
 
 
 def homing_words(method: int, own: Mapping[int, Method] | None = None) -> str:
-    """What a homing method does, leg by leg; left is the negative direction.
+    """A homing method in words, leg by leg; left is the negative direction.
 
-    Methods of a drive model's `own` are those of `DriveModel.own_homing`.
+    `own` are the homing methods of the drive model (`DriveModel.own_homing`).
 
-    Raises ValueError for a method that is not known.
+    Raises ValueError for an unknown method.
     """
     if method in HERE:
         return "The position where the axis stands becomes home; nothing moves."
@@ -218,7 +218,7 @@ def homing_words(method: int, own: Mapping[int, Method] | None = None) -> str:
 
 
 def _way(legs: Sequence[tuple[int, ...]], leg: int, visited: dict[int, None]) -> str:
-    """The legs from one on, as far as they are not visited yet."""
+    """The legs from one on that have not been visited yet."""
     parts: list[str] = []
     while leg != END and (not parts or leg not in visited):
         visited[leg] = None
@@ -230,7 +230,7 @@ def _way(legs: Sequence[tuple[int, ...]], leg: int, visited: dict[int, None]) ->
 
 
 def _place(event: int, direction: int, at: float, home: tuple[float, float]) -> float | None:
-    """Where an event comes, travelling from `at`; None: not on this way."""
+    """Position of an event when travelling from `at`; None if it does not occur."""
     if event == Edge.STOP:
         return 0.0 if direction < 0 else 1.0
     if event == Edge.INDEX:

@@ -1,4 +1,4 @@
-"""Drive: the Python face of one record.
+"""Drive: the Python interface of one record.
 
 >>> drive = Drive("generic")
 >>> drive.write("controlword", 0x0006)
@@ -64,10 +64,10 @@ class Drive:
         parameter_file: str | Path | None = None,
     ):
         self.model = load(model, bus)
-        self.operational = False  # the bus exchanges process data, told by node or slave
-        self.synchronisation: Any = None  # what a slave on EtherCAT measures, see hooks.ethercat
+        self.operational = False  # whether the bus exchanges process data, set by node or slave
+        self.synchronisation: Any = None  # measurements of an EtherCAT slave, see hooks.ethercat
         self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
-        self.wanted_node_id: int | None = None  # the drive has reset itself to have it
+        self.wanted_node_id: int | None = None  # to be adopted after the drive has reset itself
         if not 1 <= node_id <= 127:
             raise ValueError(f"node_id = {node_id} is out of range 1..127")
         self.node_id = node_id
@@ -142,12 +142,12 @@ class Drive:
         self._powered_on = (self.node_id, factors(self)), self.memory[self.index].copy()
 
     def _power_on_changed(self) -> None:
-        """Have the next `reset` fill the record anew."""
-        # by node-id and what makes the units
+        """Make the next `reset` fill the record from defaults and stored values."""
+        # the record after power-on, with the node-id and the units it depends on
         self._powered_on: tuple[tuple[int, bytes], np.ndarray] = (0, b""), np.empty(0)
 
     def _put_commissioned(self) -> None:
-        """What a maker's tool has set of the objects that a master cannot write."""
+        """Set the objects that only the manufacturer's tool can write."""
         for name, value in self._commissioned.items():
             slot = self.objects.names.get(name)
             if slot is not None and slot.view is not None:
@@ -443,7 +443,7 @@ class Drive:
             self._inject_number(name)
 
     def _inject_number(self, number: str) -> None:
-        """A fault the emulator has no cause for comes as an external one, with its own code."""
+        """Inject a fault by number; one without a cause is an external fault with its own code."""
         fault = next(fault for fault in self.model.faults if fault.name == number)
         cause = fault.cause or Cause.EXTERNAL
         if not fault.cause:
@@ -534,11 +534,11 @@ STATE = {  # of a snapshot, beside the arrays
     "stored": Key((dict, NoneType), True), "alias": Key(int, True),
     "texts": Key(list, True),
 }
-RECORD = zlib.crc32(repr(record.AXIS.descr).encode())  # tells layouts of the record apart
+RECORD = zlib.crc32(repr(record.AXIS.descr).encode())  # identifies the layout of the record
 
 
 @functools.cache
 def _layout(model: DriveModel) -> int:
-    """Tells models apart that have one name: where each object lies."""
+    """Checksum of the places of all objects, which distinguishes models of the same name."""
     places = [(key, row.area, row.offset, row.format) for key, row in model.objects.items()]
     return zlib.crc32(repr(sorted(places, key=repr)).encode())

@@ -1,4 +1,4 @@
-"""What a field bus needs of a machine: drives, and time that passes in whole cycles."""
+"""The machine behind a field bus: drives, and time that passes in whole cycles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Machine(Protocol):
 
     @property
     def time(self) -> float:
-        """That has passed (s)."""
+        """Time that has passed (s)."""
 
     def step(self, cycles: int = 1) -> object:
         """Let so many position cycles pass."""
@@ -28,7 +28,7 @@ class Machine(Protocol):
 
 @dataclass
 class Standing:
-    """Drives without a machine: their cycles pass, as with a motor that is held."""
+    """Drives without a machine: their cycles run as with a locked motor shaft."""
 
     drives: Mapping[str, Drive]
     cycle_time: float  # (s)
@@ -42,7 +42,7 @@ class Standing:
         self.time += cycles * self.cycle_time
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Switch the drives off and on again; nothing has a position."""
+        """Switch the drives off and on again; positions are ignored."""
         for drive in self.drives.values():
             drive.reset()
         self.time = 0.0

@@ -1,4 +1,4 @@
-"""Arrays by address: how compiled code reaches the memory of many machines without Python."""
+"""Arrays by address, by which compiled code accesses the memory of many machines."""
 
 import ctypes
 import functools
@@ -17,15 +17,15 @@ from .kernel.record import accessible
 
 
 def peek(dtype: np.dtype, address: int, n: int) -> np.ndarray:
-    """The `n` elements at an address, for Python, shape ``(n,)``."""
+    """The `n` elements at an address as an array for Python, shape ``(n,)``."""
     memory: Any = (ctypes.c_char * int(n * dtype.itemsize)).from_address(int(address))
     return np.frombuffer(memory, accessible(dtype) if dtype.names else dtype)
 
 
 def viewer(dtype: np.dtype, dimensions: int = 1) -> Callable[..., np.ndarray]:
-    """A function ``(address, *shape)`` that gives the elements at an address as an array.
+    """A function ``(address, *shape)`` that returns the elements at an address as an array.
 
-    The caller keeps what lies there alive.
+    The caller keeps the memory alive.
     """
     if DISABLED:
         return functools.partial(_peeked, dtype)
@@ -48,9 +48,9 @@ def _peeked(dtype: np.dtype, address: int, *shape: int) -> np.ndarray:
 
 
 def array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Code for the array that begins at the first of the arguments and has the shape of the others.
+    """Code for an array at the address in the first argument, with the shape of the others.
 
-    It asks nothing of Numba but the context, so that it serves a GPU as well.
+    It needs only Numba's context, so it works on a GPU as well.
     """
     place, *shape = arguments
     array = context.make_array(signature.return_type)(context, builder)
@@ -67,7 +67,7 @@ def array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _tuple(builder: Any, values: list) -> Any:
-    """Build a tuple of integers in LLVM, as shape and strides are held."""
+    """Build a tuple of integers in LLVM, for shape and strides."""
     made = ir.Constant(ir.ArrayType(values[0].type, len(values)), ir.Undefined)
     for i, value in enumerate(values):
         made = builder.insert_value(made, value, i)
@@ -75,7 +75,7 @@ def _tuple(builder: Any, values: list) -> Any:
 
 
 def address(array: np.ndarray) -> int:
-    """Where the elements of an array lie."""
+    """Address of the first element of an array."""
     return int(array.ctypes.data)
 
 

@@ -4,7 +4,7 @@
 >>> trace = Trace(drive, ["statusword"], trigger=Trigger("statusword", Edge.CHANGE), before=100)
 
 A channel is an object by name (drive units), or ``axis.`` and a field of the record (SI units).
-Without a trigger every sample is kept, or the last `depth`. With one, `before` samples ahead of the
+Without a trigger all samples are kept, or the last `depth`. With one, `before` samples ahead of the
 event and `depth` in all are kept; then `done` is True and further samples are ignored. A node on a
 bus and a log fill a `Recording` in the same way (`servogym.drive.wire.recording`).
 """
@@ -25,7 +25,7 @@ from .kernel.record import OD, UNITS
 
 
 class Edge(IntEnum):
-    """What a trigger waits for."""
+    """Event that a trigger waits for."""
 
     RISING = 0  # from below the level to the level or above
     FALLING = 1
@@ -43,14 +43,14 @@ class Trigger:
 
 
 class Watch:
-    """Looks for the event of a trigger, sample by sample."""
+    """Detects the event of a trigger, sample by sample."""
 
     def __init__(self, trigger: Trigger):
         self._edge, self._level = trigger.edge, trigger.level
         self._last: float | None = None
 
     def event(self, value: float) -> bool:
-        """Whether the event comes with this sample; nan is none, its value is not known yet."""
+        """Whether the event occurs with this sample; nan stands for an unknown value."""
         if math.isnan(value):
             return False
         last, self._last = self._last, value
@@ -66,12 +66,12 @@ class Watch:
 
 
 class Recording:
-    """Samples of channels around a trigger, row by row from wherever they come.
+    """Samples of channels around a trigger, row by row, from any source.
 
     Args:
-        units: of the channels by name.
-        depth: samples that are kept; without it all.
-        trigger: the event that is waited for.
+        units: units of the channels by name.
+        depth: number of samples to keep; all by default.
+        trigger: event to wait for.
         before: samples that are kept ahead of it.
 
     Raises:
@@ -100,7 +100,7 @@ class Recording:
         return len(self._rows)
 
     def add(self, time: float, values: Iterable[float], watched: float = math.nan) -> None:
-        """Take a row at `time` (s); `watched` is the channel of the trigger, nan: not known yet."""
+        """Add a row at `time` (s); `watched` is the trigger's channel, nan if it is unknown."""
         if self.done:
             return
         if self._watch is not None and not self.triggered:
@@ -153,7 +153,7 @@ class Trace(Recording):
 
 
 def reader(drive: Drive, name: str) -> Callable[[], float]:
-    """What gives the present value of a channel. Raises ValueError for an unknown one."""
+    """A function that reads a channel. Raises ValueError for an unknown one."""
     if name.startswith("axis."):
         field = name.removeprefix("axis.")
         fields: Any = drive.axes.dtype.fields

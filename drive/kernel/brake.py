@@ -2,8 +2,9 @@
 
 The delays follow Festo CMMP-AS, 6510h:18 brake_delay_time. After enabling, set-points wait until
 the brake is released; before an orderly power-off the motor holds the axis until the brake is
-engaged. If the power goes off at once (disable voltage, severe faults, STO), the brake engages after
-its own delay. While the motor is off, 60FEh bit 0 with its mask engages (1) or releases (0) it.
+engaged. If the power goes off at once (disable voltage, severe faults, STO), the brake engages
+after its own delay. While the motor is off, 60FEh bit 0 with its mask engages (1) or releases (0)
+it.
 """
 
 from .cascade import energised

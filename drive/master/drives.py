@@ -28,7 +28,7 @@ LOST = (
     State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE
 )
 CYCLIC = (Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE)
-UNHEARD = (ServoError, SdoAbort, ValueError)  # what telling a drive may raise
+UNHEARD = (ServoError, SdoAbort, ValueError)  # errors of a command to a drive
 
 
 def in_fault(statusword: int) -> bool:
@@ -120,9 +120,9 @@ class Drives:
     # -------------------------------------------------------------- inside
 
     def _of_each(self, look: Callable[[str], T]) -> T | dict[str, T]:
-        """What is seen of the only drive, or of all by name."""
-        seen = {axis: look(axis) for axis in self.axes}
-        return seen if len(self.axes) > 1 else seen[self.axes[0]]
+        """The result of `look` for the only drive, or a dict of all by name."""
+        found = {axis: look(axis) for axis in self.axes}
+        return found if len(self.axes) > 1 else found[self.axes[0]]
 
     def _each(self, what: str, value: T | Mapping[str, T]) -> dict[str, T]:
         """A value for every drive."""
@@ -139,7 +139,7 @@ class Drives:
             raise Refused(f"read {name}", f"{axis}: {error}") from error
 
     def _known(self, axis: str, name: str) -> Any:
-        """An object's value, None where the drive does not have it."""
+        """An object's value, None if the drive lacks it."""
         try:
             return self.port.upload(axis, name)
         except (SdoAbort, ValueError):
@@ -160,7 +160,7 @@ class Drives:
         return int(self.port.read(axis, "statusword"))
 
     def _fresh(self, axis: str) -> int:
-        """The statusword of now: process data may be older than the last command."""
+        """The present statusword: process data may be older than the last command."""
         return int(self.port.upload(axis, "statusword"))
 
     def _mode(self, axis: str) -> int:
@@ -170,12 +170,12 @@ class Drives:
         return int(self._known(axis, "controlword") or 0)
 
     def _fault(self, axis: str) -> str:
-        """Error code 603Fh and what the model says it means."""
+        """Error code 603Fh and its meaning in the model."""
         code = int(self._known(axis, "error_code") or 0)
         return f"error code {advice.fault_named(self.port.models[axis], code) or '0000h'}"
 
     def _in_fault(self, what: str, axis: str, then: str = "reset_fault()") -> DriveFault:
-        """The fault by name, and what to do about it."""
+        """The error for a fault, with its name and remedy."""
         code = int(self._known(axis, "error_code") or 0)
         remedy = advice.remedy_of(self.port.models[axis], code)
         said = f"FAULT, {self._fault(axis)}{self._touching(axis)}"
@@ -188,7 +188,7 @@ class Drives:
         )
 
     def _power(self, what: str, *axes: str) -> None:
-        """Refuse without power: the controlwords of a motion would switch it on."""
+        """Refuse a motion without power, as its controlwords would switch the power on."""
         for axis in axes or self.axes:
             word = self._fresh(axis)
             if in_fault(word):
@@ -204,19 +204,19 @@ class Drives:
         faulty: bool = False, powered: bool = False, homing: bool = False,
         alarm: Callable[[], str] | None = None,
     ) -> None:
-        """Look at the drives until `condition` of name and statusword holds for all of them.
+        """Wait until `condition` of name and statusword holds for all drives.
 
-        Process data may be older than the last command, so an upload confirms what they show.
+        Process data may be older than the last command, so an upload confirms them.
 
         Args:
-            condition: may also write, to be sent with the next exchange.
-            timeout: (s)
-            what: is waited for.
-            hint: the next step, where the statusword does not tell it.
-            faulty: go on waiting in FAULT.
-            powered: what is waited for will not come without power.
-            homing: statusword bit 13 is a homing error.
-            alarm: gives a reason to stop all drives, or an empty text.
+            condition: may also write objects, which are sent with the next exchange.
+            timeout: longest wait (s).
+            what: description of what is awaited.
+            hint: the next step, if the statusword does not show it.
+            faulty: whether to continue waiting in FAULT.
+            powered: whether waiting is useless without power.
+            homing: whether statusword bit 13 is a homing error.
+            alarm: returns a reason to stop all drives, or an empty text.
         """
         end = self._end(timeout)
 
@@ -245,28 +245,28 @@ class Drives:
             raise
 
     def _end(self, timeout: float) -> float:
-        """Until when to wait (s)."""
+        """End of a wait (s)."""
         if not isinstance(timeout, Real) or not timeout >= 0.0:
             raise ValueError(f"timeout = {timeout!r}: give seconds, 0 or more")
         return self._now() + float(timeout)
 
     def _now(self) -> float:
-        """Time (s) without that spent on waiting for lost frames, which no time limit counts."""
+        """Time (s) without waiting for lost frames, which no time limit counts."""
         return self.port.now() - float(getattr(self.port, "silence", 0.0))
 
     def _touching(self, *axes: str) -> str:
-        """What is in the way of the drives, where the port can see it."""
+        """Obstacles that touch the drives, if the port can detect them."""
         see = getattr(self.port, "obstacles", None)
         found = [contact for axis in axes for contact in see(axis)[:2]] if see else []
         return f"; {', '.join(found)}" if found else ""
 
     def _stop(self) -> None:
-        """Quick stop of every drive that hears."""
+        """Command a quick stop of every drive that can be reached."""
         with suppress(*UNHEARD):
             self._to_each(lambda axis: self._tell(axis, "controlword", QUICK_STOP))
 
     def _to_each(self, tell: Callable[[str], None]) -> None:
-        """Tell every drive, whatever the one before has answered; then raise the first error."""
+        """Command every drive, even if one refuses; then raise the first error."""
         errors = []
         for axis in self.axes:
             try:
@@ -291,7 +291,7 @@ class Drives:
         return velocity is None or abs(velocity) <= slow
 
     def _check(self, axis: str, what: str, faulty: bool, powered: bool, homing: bool) -> None:
-        """Raise what makes waiting useless; see `_until`."""
+        """Raise an error that makes waiting useless; see `_until`."""
         if homing and self._sure(axis, lambda word: bool(word & S.MODE_13)):
             step = "look at method, switches, speeds and time-out"
             if in_fault(self._fresh(axis)):  # to some models a fault as well
@@ -306,9 +306,9 @@ class Drives:
             raise self._no_power(what, axis)
 
     def _sure(self, axis: str, condition: Callable[..., bool], *arguments: Any) -> bool:
-        """Whether the statusword fulfils a condition; process data are confirmed by an upload.
+        """Whether the statusword fulfils a condition, which an upload confirms.
 
-        It may fulfil it with an earlier command, as long as the last one has not arrived.
+        Until the last command has arrived, the condition may hold because of an earlier one.
         """
         arrived = getattr(self.port, "arrived", None)
         return (

@@ -1,4 +1,4 @@
-"""What a master raises.
+"""Errors of a master.
 
 ::
 

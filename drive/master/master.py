@@ -36,14 +36,14 @@ COMMAND = 0x000F  # controlword bits of the device control
 STAYS = range(5, 9)  # 605Ah: values that end in QUICK_STOP_ACTIVE
 RAMP = C.NEW_SET_POINT | C.CHANGE_SET_IMMEDIATELY | C.RELATIVE  # what lets vl turn
 TORQUE = (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNC_TORQUE)
-COASTS = 1.0  # s until an axis has to stand where halt may only take its torque away (inferred)
+COASTS = 1.0  # s until an axis has to stand if halt may only remove its torque (inferred)
 AT_REST: dict[int, str] = {  # by mode: the set-point that is dropped by a stop
     Mode.VELOCITY: "vl_target_velocity", Mode.PROFILE_VELOCITY: "target_velocity",
     Mode.PROFILE_TORQUE: "target_torque", Mode.CYCLIC_SYNC_POSITION: "target_position",
     Mode.CYCLIC_SYNC_VELOCITY: "target_velocity", Mode.CYCLIC_SYNC_TORQUE: "target_torque",
 }
 HOMED = S.TARGET_REACHED | S.MODE_12
-# what makes a profile, if the drive has it; in proportion to the distance they make one time law
+# objects of a profile; in proportion to the distance they give all drives one time law
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "profile_jerk_1")
 
 
@@ -148,7 +148,7 @@ class Master(Drives):
                           "choose a drive model that has it, see `servogym drives`")
         self._put("modes_of_operation", mode)
         self._until(lambda axis, word: self._mode(axis) == mode, timeout, f"mode {mode.name}",
-                    "6502h tells the modes the drive has")
+                    "6502h lists the modes of the drive")
 
     def follow(self, mode: Mode | str) -> None:
         """Prepare the drives, at rest, to follow set-points of a mode (objects in `AT_REST`).
@@ -249,7 +249,7 @@ class Master(Drives):
     def _line(
         self, targets: Mapping[str, int], relative: bool
     ) -> dict[tuple[str, str], tuple[float, int]]:
-        """Objects of the profiles on a straight line: value now, and in proportion."""
+        """Profile objects on a straight line: present value, and value in proportion."""
         distances = {
             axis: abs(target - (0 if relative else self._ask(axis, "position_demand_value")))
             for axis, target in targets.items()
@@ -356,11 +356,11 @@ class Master(Drives):
         return tuple(powered)
 
     def _drop(self, mode: int) -> None:
-        """Forget what a halted drive was doing; halt stays."""
+        """Drop the set-point of a halted drive; halt stays."""
         (axis,) = self.axes
         if state_of(self._fresh(axis)) is not State.OPERATION_ENABLED:
             return
-        if mode == Mode.PROFILE_POSITION:  # its own place replaces the target that was halted
+        if mode == Mode.PROFILE_POSITION:  # its own position replaces the halted target
             at, bits = self.port.read(axis, "position_actual_value"), ENABLED | C.HALT
             with suppress(ServoError):  # not every drive takes one while it is halted
                 self._tell(axis, "target_position", at)

@@ -1,4 +1,4 @@
-"""What a model can, from `[capabilities]` of its drive.toml; 6502h and 60E3h repeat it."""
+"""The modes and homing methods of a model, from its drive.toml; 6502h and 60E3h report them."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -49,7 +49,7 @@ def read_capabilities(
 ) -> tuple[tuple[Mode, ...], tuple[int, ...]]:
     """Modes and homing methods, after which come the model's `own_modes` and `own` methods.
 
-    Raises ValueError for one that there is not.
+    Raises ValueError for an unknown one.
     """
     for kind, known in (("modes", MODES), ("homing_methods", (*METHODS, *own))):
         for name in table.get(kind, ()):
@@ -62,9 +62,9 @@ def read_capabilities(
 def with_capabilities(
     objects: dict[tuple[int, int], Object], modes: tuple[Mode, ...], methods: tuple[int, ...]
 ) -> dict[tuple[int, int], Object]:
-    """The objects, of which 6502h and 60E3h say what the drive can, where it has them.
+    """The objects, with 6502h and 60E3h (where the model has them) reporting the capabilities.
 
-    6060h and 6098h know it as well, to tell it to who writes something else.
+    6060h and 6098h list them, too, for the message that refuses another value.
     """
     possible = {"mode": (0, *map(int, modes)), "homing_method": (0, *methods)}
     answers: dict[tuple[int, int], Object] = {}

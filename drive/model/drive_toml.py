@@ -1,4 +1,4 @@
-"""`drive.toml` of a drive model: its keys, and refusals that name file, key and the near name."""
+"""`drive.toml` of a drive model: its keys, and errors that name file, key and similar names."""
 
 import math
 import re
@@ -16,8 +16,8 @@ from ..kernel.record import OD
 from . import foreign
 from .names import hint
 
-# Departures from the standard a model may declare: fields of the record that the kernel reads, and
-# flags of the Python around it.
+# Departures from the standard that a model may declare: fields of the record that the kernel reads,
+# and flags that only Python reads.
 KERNEL_QUIRKS = tuple(name for name, *_ in record.QUIRKS)
 QUIRKS = {name: meaning for name, _, _, meaning in record.QUIRKS} | {
     "load_at_once": "1: 1011h acts at once and needs the power stage off",
@@ -29,19 +29,19 @@ QUIRKS = {name: meaning for name, _, _, meaning in record.QUIRKS} | {
     "rpdo_counts_syncs": "1: an RPDO of type n is used at every n-th SYNC",
     "upload_without_size": "1: an expedited upload of 2001h-2FFFh is answered by 42h",
     "writes_are_stored": "1: what can be stored is stored with each write",
-    "shortest_gap_of_tpdo_2": "ms between two of them, whatever the inhibit time says",
+    "shortest_gap_of_tpdo_2": "ms between two of them, even with a shorter inhibit time",
     "alias_saves": "1: a station alias that is written makes the drive save its parameters",
     "empty_history_reads_0": "1: a field of 1003h without an error reads 0 instead of 08000024h",
     "identifier_needs_valid_bit": "1: bit 30 of PDO identifiers always reads 1",
 }
-KINDS: dict[str, type] = {  # of what drive.toml may say
+KINDS: dict[str, type] = {  # types of the keys
     "title": str, "standard": str, "based_on": str, "objects_of": str, "variant": str, "axes": int,
     "buses": list,
     "without": list, "cycle_time_us": dict, "motor": dict, "capabilities": dict, "modes": dict,
     "quirks": dict,
     "fixed": dict, "units": dict, "defaults": dict, "abort_codes": dict, "sections": dict,
 }
-KEYS = {  # of the tables whose keys no other table of this file lists
+KEYS = {  # of the tables whose keys are not listed elsewhere
     "cycle_time_us": ("current", "velocity", "position"),
     "motor": ("torque_time_constant_us", "rotor_inertia_kgm2"),
     "capabilities": ("modes", "homing_methods"),
@@ -52,7 +52,7 @@ UNITS = {"position_gain": 1e-3, "velocity_gain": 1e-6, "temperature": 0.1}
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """One drive.toml, checked as far as it can be alone. Raises ValueError with file and key."""
+    """Read one drive.toml and check it on its own. Raises ValueError with file and key."""
     try:
         toml = tomllib.loads(foreign.text(path, "a file of a model"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -67,7 +67,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: axes = {toml['axes']} is out of range 1..127")
     for name, quirk in toml.get("quirks", {}).items():
         if name not in QUIRKS:
-            continue  # told with the known ones
+            continue  # refused later, with the known ones
         fits = isinstance(quirk, dict) and isinstance(quirk.get("source"), str)
         if not fits or not isinstance(quirk.get("value"), int) or abs(quirk["value"]) >= 1 << 31:
             raise ValueError(f'{path}: quirks.{name} is not like {{ value = 1, source = "5.1" }}')
@@ -93,14 +93,14 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def refuse_unknown(table: dict[str, Any], known: Iterable[str], path: Path, of: str = "") -> None:
-    """Refuse a key that means nothing: most often one that is spelt in another way."""
+    """Refuse an unknown key, which is most often a misspelt one."""
     for key in table:
         if key not in known:
             raise ValueError(f"{path}: {of}{key} is unknown: {hint(key, known)}")
 
 
 def _fits(value: Any, kind: np.dtype) -> bool:
-    """Whether a value of drive.toml, or a list of them, can stand in a field of the record."""
+    """Whether a value of drive.toml, or a list of values, fits a field of the record."""
     values = value if isinstance(value, list) else [value]
     room = kind.shape[0] if kind.shape else 1
     if isinstance(value, list) != bool(kind.shape) or len(values) > room:
@@ -114,7 +114,7 @@ def _fits(value: Any, kind: np.dtype) -> bool:
 
 
 def merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Tables of `base` with the entries of `own` in place of theirs."""
+    """The tables of `base`, in which entries of `own` replace those of the same name."""
     return base | {
         key: base[key] | value if isinstance(value, dict) and isinstance(base.get(key), dict)
         else value
@@ -124,23 +124,23 @@ def merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class Toml:
-    """A drive.toml on top of those it is based on, and checks of what only the whole can have."""
+    """A drive.toml merged with those it is based on, and checks of the result."""
 
     path: Path
     data: dict[str, Any]
 
     def table(self, name: str) -> dict[str, Any]:
-        """A table that has to be there."""
+        """A mandatory table."""
         if not isinstance(self.data.get(name), dict):
             raise ValueError(f"{self.path}: the table [{name}] is missing")
         return self.data[name]
 
     def known(self, name: str, known: Iterable[str]) -> None:
-        """Refuse a key of a table that means nothing."""
+        """Refuse an unknown key of a table."""
         refuse_unknown(self.data.get(name, {}), known, self.path, f"{name}.")
 
     def buses(self) -> tuple[str, ...]:
-        """The field buses, "can" where nothing is said."""
+        """The field buses, "can" by default."""
         buses = self.data.get("buses", ["can"])
         if not isinstance(buses, list) or not buses:
             raise ValueError(f'{self.path}: buses = {buses!r} is not a list like ["can"]')
@@ -161,7 +161,7 @@ class Toml:
         return times
 
     def numbers(self, name: str, keys: tuple[str, ...]) -> dict[str, float]:
-        """Numbers of 0 or more that a table has to have."""
+        """Mandatory numbers of a table, each 0 or more."""
         table = self.table(name)
         for key in keys:
             value = table.get(key)

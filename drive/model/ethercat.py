@@ -1,6 +1,6 @@
-"""`ethercat.toml` of a drive model: what it is on EtherCAT, read and checked.
+"""`ethercat.toml` of a drive model: its description as an EtherCAT slave, read and checked.
 
-SII, ESI, 1C00h and the AL state machine are made from it; objects and PDOs are those of the CSVs.
+SII, ESI, 1C00h and the AL state machine follow from it; objects and PDOs come from the CSV files.
 """
 
 import base64
@@ -23,7 +23,7 @@ MEMORY = 0x1000, 0x3000  # process data memory of the slave controller, first an
 
 @dataclass(frozen=True)
 class DcMode:
-    """A way to synchronise that the model offers."""
+    """A synchronisation mode that the model offers."""
 
     name: str
     assign_activate: int  # for registers 0980h and 0981h
@@ -31,13 +31,13 @@ class DcMode:
 
 
 class Key(NamedTuple):
-    """Where a value stands in the file, and what it may be."""
+    """The place of a value in the file, and its type."""
 
     table: str  # "" for the file itself
     name: str
     kind: type
-    default: Any = None  # None: the key has to be there
-    numbers: int | None = None  # how many a list has; 0: any number of them
+    default: Any = None  # None: the key is mandatory
+    numbers: int | None = None  # length of a list of numbers; 0: any length
 
 
 def _key(table: str, name: str, kind: type, default: Any = None, numbers: int | None = None) -> Any:
@@ -47,7 +47,7 @@ def _key(table: str, name: str, kind: type, default: Any = None, numbers: int | 
 
 @dataclass(frozen=True)
 class Al:
-    """How the state machine departs from the standard's."""
+    """Departures of the AL state machine from the standard."""
 
     bootstrap: bool = _key("al", "bootstrap", bool, True)
     # bit 4 of AL Control acknowledges by its rising edge only
@@ -59,7 +59,7 @@ class Al:
 
 @dataclass(frozen=True)
 class EtherCat:
-    """A model on EtherCAT; mailboxes are start and length of out, start and length of in."""
+    """An EtherCAT slave; mailboxes are start and length of the output, then of the input."""
 
     name: str = _key("", "name", str)
     order: str = _key("", "order", str)
@@ -120,7 +120,7 @@ TABLES = {key.table: [each.name for each in KEYS if each.table == key.table] for
 
 
 class _Reader:
-    """The file, with refusals that name it and the key."""
+    """The file, with errors that name it and the key."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -139,7 +139,7 @@ class _Reader:
                     raise self.error(f"{place} is unknown, use of {', '.join(known)}")
 
     def error(self, text: str) -> ValueError:
-        """A refusal that names the file."""
+        """An error that names the file."""
         return ValueError(f"{self.path}: {text}")
 
     def get(self, key: Key) -> Any:
@@ -174,7 +174,7 @@ class _Reader:
 
 
 def read_ethercat(path: Path) -> EtherCat:
-    """What a model is on EtherCAT. Raises ValueError with file, key and reason."""
+    """Read an ethercat.toml. Raises ValueError with file, key and reason."""
     reader = _Reader(path)
     found, al = reader.values(EtherCat), reader.values(Al)
     for protocol in found["protocols"]:
@@ -243,7 +243,7 @@ def _mode(reader: _Reader, row: Any) -> DcMode:
 
 
 def _check(reader: _Reader, ethercat: EtherCat) -> None:
-    """Buffers lie in the memory and do not overlap; the EEPROM has a size there is."""
+    """Refuse buffers outside of the memory or overlapping, and impossible EEPROM sizes."""
     out, out_length, in_, in_length = ethercat.mailbox
     buffers = [(out, out_length, "mailbox out"), (in_, in_length, "mailbox in")]
     buffers += [

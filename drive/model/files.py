@@ -1,14 +1,14 @@
-"""Files of others: opened only where they are files, and of a size that can be meant.
+"""Files from elsewhere: only regular files of a plausible size are opened.
 
-A pipe, a terminal or a device would let the reader wait for ever or never end; a file of a
-gigabyte would fill the memory. Both are refused before a byte is read.
+Reading a pipe, a terminal or a device might wait forever or never end; a file of a gigabyte would
+fill the memory. Both are refused before a byte is read.
 """
 
 import os
 import stat
 from pathlib import Path
 
-LARGEST = 16 * 2**20  # bytes of a text; our own have a hundredth of that
+LARGEST = 16 * 2**20  # bytes of a text, a hundred times as many as our own have
 KINDS = (
     (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe (FIFO)"), (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
@@ -16,11 +16,11 @@ KINDS = (
 
 
 def regular(path: str | Path) -> int:
-    """The size (bytes) of a file that can be read to its end.
+    """The size (bytes) of a regular file.
 
     Raises:
         ValueError: it is a folder, a pipe, a socket or a device.
-        OSError: there is none, or it cannot be looked at.
+        OSError: it does not exist, or cannot be inspected.
     """
     found = os.stat(path)
     if not stat.S_ISREG(found.st_mode):
@@ -33,13 +33,13 @@ def content(path: str | Path, what: str = "a file", largest: int = LARGEST) -> b
     """The bytes of a file.
 
     Args:
-        path: of the file.
-        what: it should be, for the refusal, as "a file of a model".
-        largest: bytes it may have.
+        path: path of the file.
+        what: its kind for the error message, such as "a file of a model".
+        largest: maximum size (bytes).
 
     Raises:
-        ValueError: it is not a file, or has more bytes.
-        OSError: there is none, or it cannot be read.
+        ValueError: it is not a regular file, or it is larger.
+        OSError: it does not exist, or cannot be read.
     """
     if (size := regular(path)) > largest:
         raise ValueError(f"{path} has {size} bytes, {what} has at most {largest}")

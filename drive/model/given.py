@@ -1,4 +1,4 @@
-"""Values that a user gives for objects by name."""
+"""Checks of values and object names that a user gives."""
 
 import functools
 import math
@@ -9,11 +9,11 @@ from typing import Any, SupportsFloat
 from .model import load, model_names
 from .names import hint
 
-PROFILE = "generic"  # most names are there, and it is the smallest
+PROFILE = "generic"  # it has most names, and loads fastest
 
 
 def finite(name: str, value: Any) -> int | float:
-    """A number. Raises ValueError for what is none, naming it."""
+    """A finite number. Raises ValueError naming a value that is none."""
     if not isinstance(value, SupportsFloat) or not math.isfinite(value):
         raise ValueError(f"{name} = {value!r} is not a finite number")
     return value if isinstance(value, int) else float(value)
@@ -32,14 +32,14 @@ def whole(name: str, value: Any, low: int, high: int, unit: str = "") -> int:
 
 
 def octets(name: str, value: Any) -> bytes | bytearray | memoryview:
-    """Bytes. Raises ValueError for what are none, naming it."""
+    """Bytes. Raises ValueError naming a value that is none."""
     if not isinstance(value, bytes | bytearray | memoryview):
         raise ValueError(f"{name} = {value!r:.40} are not bytes")
     return value
 
 
 def refuse_unknown(name: str, known: Iterable[str]) -> None:
-    """Raise ValueError, with near names of those `known`, for one that is in no model of ours."""
+    """Raise ValueError with similar names for an object that no model of this package has."""
     if not _in_a_model(name):
         raise ValueError(f"no drive has the object {name!r}: {hint(name, known)}")
 

@@ -1,6 +1,6 @@
-"""Homing methods of a drive model's own: its `homing.csv`, a row a leg.
+"""Homing methods that a drive model defines in its `homing.csv`, one row for each leg.
 
-The kernel runs them with the engine that runs the standard's, see `servogym.drive.kernel.homing`.
+The engine of the standard methods runs them, see `servogym.drive.kernel.homing`.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ ON_SWITCH = "from_home_switch"  # column: the leg that begins where the home swi
 
 
 def read_homing(path: Path) -> dict[int, Method]:
-    """The methods by their numbers; none without the file.
+    """Read the methods by number; none if there is no file.
 
     Raises:
         ValueError: with file, line and reason.
@@ -63,7 +63,7 @@ def read_homing(path: Path) -> dict[int, Method]:
 
 
 def _cell(row: dict[str, str], name: str, where: str) -> int:
-    """A word of `WORDS`; of the two columns that lead to a leg its number, too."""
+    """The value of a word of `WORDS`, or of the number of a leg."""
     words, text = WORDS[name], row[name]
     if text in words:
         return words[text]

@@ -1,7 +1,7 @@
-"""A drive model made from somebody's file: its folder, and a README that says what became of what.
+"""A drive model made from an existing file: its folder, and a README about what was converted.
 
-Whatever the file is (an EDS, a device description, an EEPROM, answers of a real drive), the reader
-of it fills in a `ModelFolder`; the folder is written here, as a whole or not at all.
+The reader of each kind of file (an EDS, a device description, an EEPROM, answers of a real drive)
+fills in a `ModelFolder`; the folder is written here, as a whole or not at all.
 """
 
 import csv
@@ -22,7 +22,7 @@ HEADING = "| line | object | the file says | taken | why |\n|---|---|---|---|---
 
 
 class Repair(NamedTuple):
-    """What a file says in a way that could not be taken as it stands, and what was taken."""
+    """A statement of a file that could not be used as it is, and its replacement."""
 
     line: int  # of the file, 0: of no line
     where: str  # object or section
@@ -43,17 +43,17 @@ class ModelFolder:
     source: str  # name of the file, or of the drive that was asked
     command: str  # that makes it, as `servogym drives --from-eds`
     base: str = "generic"
-    toml: dict[str, Any] = field(default_factory=dict)  # more of drive.toml, tables as dicts
+    toml: dict[str, Any] = field(default_factory=dict)  # further keys of drive.toml
     objects: list[dict[str, Any]] = field(default_factory=list)  # rows of objects.csv
     pdos: list[tuple[Any, ...]] | None = field(default_factory=list)  # rows of pdo.csv; the base's
     more: dict[str, str] = field(default_factory=dict)  # further files, as ethercat.toml
-    notes: list[str] = field(default_factory=list)  # where the rest comes from, a line each
+    notes: list[str] = field(default_factory=list)  # sources of everything else, one line each
     repairs: list[Repair] = field(default_factory=list)
-    unknown: list[str] = field(default_factory=list)  # objects that only keep what is written
+    unknown: list[str] = field(default_factory=list)  # objects that only store values
     left_out: list[str] = field(default_factory=list)
 
     def tell(self, line: int, where: str, says: object, taken: object, why: str) -> None:
-        """Note a repair."""
+        """Add a repair."""
         self.repairs.append(Repair(line, where, str(says), str(taken), why))
 
 
@@ -61,7 +61,7 @@ def check_place(folder: Path) -> None:
     """Refuse a folder that cannot be made.
 
     Raises:
-        ValueError: there is something already, or no folder to make it in.
+        ValueError: it is not empty, or its parent folder does not exist.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"{folder} is there already: choose a folder that is new or empty")
@@ -75,8 +75,8 @@ def write(made: ModelFolder, folder: Path, check: Callable[[Path], str]) -> None
     Args:
         made: the model.
         folder: must not exist, or be empty.
-        check: makes a drive of the folder, -> a section for its README; what it raises leaves
-            nothing behind.
+        check: makes a drive of the folder and returns a section for the README; if it raises,
+            nothing is left behind.
 
     Raises:
         ValueError: the folder cannot be made, or `check` refuses it.
@@ -126,12 +126,12 @@ def _toml(made: ModelFolder) -> str:
 
 
 def line(text: object, most: int = 120) -> str:
-    """A text in one line, printable."""
+    """A text as one printable line."""
     return "".join(c for c in " ".join(str(text).split()) if c.isprintable())[:most]
 
 
 def readme(made: ModelFolder) -> str:
-    """The page of a model: where it comes from, and all repairs."""
+    """The README of a model: its sources and all repairs."""
 
     def listed(items: list[str]) -> str:
         return "\n".join(f"- {item}" for item in items) or "- none"

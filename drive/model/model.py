@@ -1,7 +1,7 @@
 """A drive model: a folder with `drive.toml`, `objects.csv`, `pdo.csv` and `faults.csv`.
 
-The folder is all there is to a model; the kernel reads its numbers and flags from the record. A row
-that cannot be right is refused when the model is loaded, with file, line and reason.
+The folder is the whole model; the kernel reads its numbers and flags from the record. Loading
+refuses an impossible row with file, line and reason.
 """
 
 import functools
@@ -36,7 +36,7 @@ from .rows import (
 STANDARD = "generic"  # its objects.csv has the objects of CiA 301 and CiA 402
 ENTRY_POINTS = "servogym.drives"  # of other packages: a name, and the folder it stands for
 ETHERCAT_FILES = ("ethercat.toml", "ethercat_objects.csv", "ethercat_pdo.csv")
-COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # what puts it there
+COMMANDS = {"can": "`servogym node`", "ethercat": "`servogym ethercat`"}  # to serve it
 WITHOUT_POSITION = (
     Mode.VELOCITY, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE,
     Mode.CYCLIC_SYNC_VELOCITY, Mode.CYCLIC_SYNC_TORQUE,
@@ -45,7 +45,7 @@ WITHOUT_POSITION = (
 
 @dataclass(frozen=True)
 class Quirk:
-    """A departure from the standard, with where the manual says so."""
+    """A departure from the standard, with its section of the manual."""
 
     value: int
     source: str
@@ -53,11 +53,11 @@ class Quirk:
 
 @dataclass(frozen=True, eq=False)
 class DriveModel:
-    """Everything that makes a drive the one it is; shared by all its drives, never changed."""
+    """The immutable description of a drive, shared by all drives of the model."""
 
     name: str
     folder: Path
-    based_on: Path | None  # folder of the model whose files hold where this one says nothing
+    based_on: Path | None  # folder of the base model
     title: str
     standard: str
     cycle_time: dict[str, float]  # "current", "velocity", "position" (s)
@@ -65,15 +65,15 @@ class DriveModel:
     rotor_inertia: float  # (kg·m²)
     modes: tuple[Mode, ...]
     homing_methods: tuple[int, ...]
-    own_homing: dict[int, Method]  # those of its homing.csv
-    own_modes: dict[int, OwnMode]  # those of `[modes]` in its drive.toml
+    own_homing: dict[int, Method]  # from its homing.csv
+    own_modes: dict[int, OwnMode]  # from `[modes]` of its drive.toml
     quirks: dict[str, Quirk]
-    abort_codes: dict[int, int]  # what the manual prints in place of a code of CiA 301
+    abort_codes: dict[int, int]  # code of CiA 301 -> code that the manual prints instead
     units: dict[str, float]
-    fixed: dict[str, Any]  # values of `od` fields that the model has no object for
-    buses: tuple[str, ...]  # keys of `BUSES`: the field buses there are for it
-    bus: str  # the one this model is on; objects and PDOs are those it has there
-    ethercat: EtherCat | None  # on that bus only
+    fixed: dict[str, Any]  # values of `od` fields without an object
+    buses: tuple[str, ...]  # keys of `BUSES`: its field buses
+    bus: str  # the one of these that determines objects and PDOs
+    ethercat: EtherCat | None  # None on other buses
     axes: int  # drives in one housing, with consecutive node-ids
     objects: dict[tuple[int, int], Object]
     names: dict[str, Object]
@@ -88,15 +88,16 @@ class DriveModel:
 
     @functools.cached_property
     def more(self) -> int:
-        """Bytes of the objects beyond the record."""
+        """Size of the objects beyond the record (bytes)."""
         beyond = [row.offset + row.size for row in self.objects.values() if row.area == "more"]
         return max(beyond, default=0)
 
     def fault_key(self, code: int, cause: int, node: int = 0) -> int:
-        """Manufacturer's number of a fault, main part in the high byte; 0 if it has none.
+        """Manufacturer's number of a fault, with the main part in the high byte; 0 if it has none.
 
-        Of several rows with the error code that of the cause counts, else the first. The low byte
-        of a lost connection is the `node` whose heartbeat is missing, if that is how it was lost.
+        Of several rows with the error code, the row of the cause counts, otherwise the first one.
+        The low byte of a lost connection is the `node` whose heartbeat is missing, if that is the
+        reason.
         """
         rows = [fault for fault in self.faults if fault.code == code and fault.main is not None]
         for fault in sorted(rows, key=lambda fault: fault.cause != cause):
@@ -105,7 +106,7 @@ class DriveModel:
         return 0
 
     def power_on(self, axis: Axis) -> None:
-        """Fill a zeroed record with what the model fixes and the factory defaults."""
+        """Fill a zeroed record with the constants and factory defaults of the model."""
         axis.position_period = self.cycle_time["position"]
         axis.velocity_period = self.cycle_time["velocity"]
         axis.velocity_cycles = round(self.cycle_time["position"] / self.cycle_time["velocity"])
@@ -124,7 +125,7 @@ class DriveModel:
         axis.terminals = 0x03  # S1IND and S2IND are wired to 24 V
         axis.sto_input = 1
         codes, numbers, registers = axis.fault_code, axis.fault_number, axis.fault_register
-        for fault in reversed(self.faults):  # of two rows with one cause the first counts
+        for fault in reversed(self.faults):  # of several rows with a cause the first counts
             codes[fault.cause] = fault.code
             numbers[fault.cause] = (fault.main or 0) << 4 | (fault.sub or 0)
             registers[fault.cause] = 1 | 1 << fault.register
@@ -137,31 +138,31 @@ class DriveModel:
         axis.parameters_changed = 1
 
     def mode_name(self, mode: int) -> str:
-        """A mode as its drive.toml calls it, or the standard's abbreviation."""
+        """Name of a mode in drive.toml, or the standard's abbreviation."""
         return self.own_modes[mode].name if mode in self.own_modes else abbreviation(mode)
 
     def set_reactions(self, axis: Axis) -> None:
-        """The reactions of faults.csv; of two rows with one cause the first counts."""
+        """Set the reactions of faults.csv; of several rows with a cause the first counts."""
         reactions = axis.od.fault_reaction
         for fault in reversed(self.faults):
             reactions[fault.cause] = fault.reaction
 
     def search(self, method: int) -> Method | None:
-        """The legs of a homing method; None of one that looks for nothing."""
+        """The legs of a homing method, None for one without a search."""
         return self.own_homing.get(method) or METHODS.get(method)
 
     @property
     def homes_here(self) -> int:
-        """Homing method on the current position: 37, or 35 where only the older number is known."""
+        """Method of homing on the current position: 37, or 35 in models with the older number."""
         return 37 if 37 in self.homing_methods else 35
 
     @property
     def positions(self) -> bool:
-        """Whether the drive has a mode with a position controller, other than an inverter."""
+        """Whether the drive has a mode with a position controller, unlike a frequency inverter."""
         return any(mode not in WITHOUT_POSITION for mode in self.modes)
 
     def number(self, name: str) -> Object:
-        """The object of this name. Raises ValueError where the model has none, or a string."""
+        """The numeric object of this name. Raises ValueError if the model has none."""
         row = self.names.get(name)
         if row is None or not row.format:
             numbers = [each for each, row in self.names.items() if row.format]
@@ -170,36 +171,36 @@ class DriveModel:
         return row
 
     def quirk(self, name: str) -> int:
-        """Value of a departure from the standard, 0 where the model has none."""
+        """Value of a departure from the standard, 0 if the model has none."""
         return self.quirks[name].value if name in self.quirks else 0
 
 
 @functools.cache
 def _builtin() -> dict[str, Path]:
-    """Folders of the models that come with the laboratory, by name."""
+    """Folders of the models in this package by name."""
     folder = Path(str(resources.files("servogym.assets"))) / "drives"
     return {path.parent.name: path.parent.resolve() for path in folder.glob("*/drive.toml")}
 
 
 def model_names() -> list[str]:
-    """Names of the models that come with the laboratory."""
+    """Names of the models in this package."""
     return sorted(_builtin())
 
 
 def foreign_names() -> list[str]:
-    """Names of the models that other packages declare, as entry points ``servogym.drives``."""
+    """Names of models that other packages offer as entry points ``servogym.drives``."""
     return sorted({point.name for point in metadata.entry_points(group=ENTRY_POINTS)})
 
 
 def load(model: "str | Path | DriveModel", bus: str | None = None) -> DriveModel:
-    """A model by name, or from the path of a folder of your own.
+    """Load a model by name, or from the path of a folder.
 
-    A name is one of this package, or an entry point ``servogym.drives`` of another: a module whose
-    folder it is, or an object that is the path. `bus` is "can" or "ethercat", without it the first
-    one the model has. What a drive does is the same on both; only its communication objects and
+    A name is that of a model in this package, or an entry point ``servogym.drives`` of another: a
+    module in the folder, or an object that is its path. `bus` is "can" or "ethercat", by default
+    the first one of the model. A drive behaves the same on both; only its communication objects and
     PDOs differ.
 
-    Raises ValueError, naming the known models or buses, or file, line and reason of a wrong row.
+    Raises ValueError that names the known models or buses, or file, line and reason of a wrong row.
     """
     if not isinstance(model, (str, Path, DriveModel)):
         raise ValueError(
@@ -212,7 +213,7 @@ def load(model: "str | Path | DriveModel", bus: str | None = None) -> DriveModel
 
 
 def _folder(model: str | Path, beside: Path | None = None) -> Path:
-    """The folder of a model; a path is looked for from the folder `beside`, too."""
+    """The folder of a model; a path may be relative to the folder `beside`."""
     if str(model) in _builtin():
         return _builtin()[str(model)]
     folder = Path(model)
@@ -232,7 +233,7 @@ def _folder(model: str | Path, beside: Path | None = None) -> Path:
 
 
 def _ancestors(folder: Path) -> list[tuple[Path, dict[str, Any]]]:
-    """The folder and those it is based on, each with its drive.toml."""
+    """The folder and those of its base models, each with its drive.toml."""
     files = [(folder, read_toml(folder / "drive.toml"))]
     while "based_on" in files[-1][1]:
         base = _folder(files[-1][1]["based_on"], files[-1][0])
@@ -244,9 +245,9 @@ def _ancestors(folder: Path) -> list[tuple[Path, dict[str, Any]]]:
 
 @functools.cache
 def _cells(folder: Path, referring: tuple[Path, ...] = ()) -> Cells:
-    """The rows of a model's objects.csv, on top of those of the model it is based on.
+    """The rows of a model's objects.csv, merged with those of its base model.
 
-    `referring` are the models on the way here; one that comes back to them is refused.
+    `referring` are the models that led here; a reference back to one of them is refused.
     """
     if folder in referring:
         raise ValueError(f"{folder / 'drive.toml'}: objects_of leads back to {folder.name!r}")
@@ -270,7 +271,7 @@ def _cells(folder: Path, referring: tuple[Path, ...] = ()) -> Cells:
 
 
 def _declared(point: metadata.EntryPoint) -> Path:
-    """The folder an entry point stands for."""
+    """The folder of an entry point."""
     try:
         found = point.load()
         file = getattr(found, "__file__", None)
@@ -292,7 +293,7 @@ def _declared(point: metadata.EntryPoint) -> Path:
 def _load(folder: Path, bus: str | None) -> DriveModel:
     ancestors = _ancestors(folder)
     toml: dict[str, Any] = {}
-    for _, own in reversed(ancestors):  # another model, with what this one says instead
+    for _, own in reversed(ancestors):  # keys of a model replace those of its base
         toml = merged(toml, own)
     file = {
         name: next((f / name for f, _ in ancestors if (f / name).exists()), folder / name)
@@ -316,7 +317,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
             cells = referred(read_cells(file["ethercat_objects.csv"]), cells, {})
         if file["ethercat_pdo.csv"].exists():
             file["pdo.csv"] = file["ethercat_pdo.csv"]
-    objects = {  # on every bus at the same place of the record
+    objects = {  # at the same place of the record on every bus
         a: row for a, row in read_objects(cells).items() if f"{a[0]:04X}h" not in missing
     }
     if bus == "ethercat":
@@ -369,7 +370,7 @@ def _load(folder: Path, bus: str | None) -> DriveModel:
 
 
 def _with_defaults(objects: dict[tuple[int, int], Object], toml: dict[str, Any], path: Path):
-    """The objects with the values of the table `defaults`, by name."""
+    """The objects with the defaults of the table `defaults`, by name."""
     names = {row.name: address for address, row in objects.items()}
     for name, value in toml.get("defaults", {}).items():
         if name not in names:

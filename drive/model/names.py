@@ -1,4 +1,4 @@
-"""Names a user gives: what is given by name, and what might have been meant."""
+"""Names that a user gives: values by name, and suggestions for misspelt names."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -8,7 +8,7 @@ MOST = 30  # names in a message
 
 
 def hint(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """``"did you mean X"``, else `otherwise`, else ``"choose one of …"``, or nothing."""
+    """``"did you mean X"``, otherwise `otherwise`, or ``"choose one of …"``, or nothing."""
     names = list(known)
     found = get_close_matches(name, names, 3, 0.7)
     if found:
@@ -18,7 +18,7 @@ def hint(name: str, known: Iterable[str], otherwise: str = "") -> str:
 
 
 def named(name: str, given: Any, example: str) -> dict[str, Any]:
-    """What is given by name, empty for None. Raises ValueError for what is not a mapping."""
+    """Values by name, empty for None. Raises ValueError for anything but a mapping."""
     if given is None:
         return {}
     if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):

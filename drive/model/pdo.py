@@ -36,9 +36,9 @@ def places(
     """The offsets of mapped objects in bytes, by name, and the total number of bytes.
 
     Args:
-        objects: those of the model.
-        entries: the mapping of the drive. Objects that the model does not have in this length
-            have no offset; they are transferred by SDO.
+        objects: objects of the model.
+        entries: mapping of the drive. Objects that the model does not have in this length have no
+            offset; they are transferred by SDO.
     """
     found, bits = {}, 0
     for index, subindex, length in entries:

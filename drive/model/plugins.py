@@ -1,9 +1,9 @@
-"""Behaviour that comes with a model: programs in its folder, or in an installed package.
+"""Behaviour that comes with a model: programs in its folder or in an installed package.
 
-A row of `KINDS` is a kind of behaviour: the file beside drive.toml that brings it, the dictionary
-in that file, and the group of entry points of packages. A file is looked for in the folder of the
-model, then in that of the model it is based on. It is run only after consent (`run_code`); whoever
-installed a package has consented.
+A row of `KINDS` is a kind of behaviour: its file beside drive.toml, the dictionary in that file,
+and the entry-point group for packages. The file is searched in the folder of the model and then in
+that of the model it is based on. It runs only after consent (`run_code`); installing a package is
+consent.
 """
 
 import functools
@@ -20,7 +20,7 @@ from .uncompiled import telling
 
 
 class Kind(NamedTuple):
-    """Where behaviour of a kind is found."""
+    """The places where a kind of behaviour is found."""
 
     file: str
     attribute: str  # of the file: a dictionary by name
@@ -43,7 +43,7 @@ def run_code(model: str | Path | DriveModel) -> None:
 
 
 def _files(model: DriveModel, kind: Kind) -> Iterator[Path]:
-    """The files of a kind that a model and those it is based on bring."""
+    """The files of a kind in the folders of a model and of those it is based on."""
     folder: Path | None = model.folder
     while folder is not None:
         if (folder / kind.file).is_file():
@@ -53,7 +53,7 @@ def _files(model: DriveModel, kind: Kind) -> Iterator[Path]:
 
 @functools.cache
 def plugin(model: DriveModel, wanted: type, name: str) -> tuple[Any, int]:
-    """Behaviour by name, of the class `wanted`, and a number that tells its program from others.
+    """Behaviour of the class `wanted` by name, and a checksum of its program.
 
     Raises LookupError where there is none, ValueError without consent or for another class.
     """
@@ -98,9 +98,9 @@ def _checked(found: object, wanted: type, where: str) -> Any:
 
 @functools.cache
 def install_modes(model: DriveModel) -> int:
-    """Have the kernel run the model's own modes, and give their key, `own_modes` of a record.
+    """Compile the modes that the model defines; return their key, `own_modes` of a record.
 
-    Raises ValueError for a mode without program, or one that does not compile, with the place.
+    Raises ValueError with the place for a mode without a program, or one that does not compile.
     """
     modes, programs = {}, []
     for number, row in model.own_modes.items():

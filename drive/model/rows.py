@@ -1,6 +1,6 @@
-"""The rows of a drive model's files: objects, PDOs and faults, read and checked.
+"""The rows of a drive model's files: objects and faults, read and checked.
 
-A row that cannot be right is refused with file, line and reason, before a drive exists.
+An impossible row is refused with file, line and reason, before a drive exists.
 """
 
 import csv
@@ -36,7 +36,7 @@ FORMATS = {name: kind if isinstance(kind, str) else "" for name, (_, kind) in _T
 LENGTHS = {name: kind for name, (_, kind) in _TYPES.items() if isinstance(kind, int) and kind}
 REAL = ("f", "d")  # formats of numbers that are not whole
 TEXTS = ("VISIBLE_STRING", "DOMAIN")
-TEXT_BYTES = "bytes"  # hook of rows without a format that a master may write, or that are not text
+TEXT_BYTES = "bytes"  # hook of rows without a format that can be written or are not text
 SIZES = {code: struct.calcsize(f"<{code}") for code in FORMATS.values()}
 # rows of an objects.csv by index and sub-index, each with the words "file, line n"
 Cells = dict[tuple[int, int], tuple[dict[str, str], str]]
@@ -46,7 +46,7 @@ PDO_USE = ("", "rx", "tx", "rxtx")
 
 @dataclass(frozen=True)
 class Object:
-    """One row of the object dictionary; its bytes lie `offset` into the `area` of the drive."""
+    """One row of the object dictionary; its bytes are at `offset` in the `area` of the drive."""
 
     index: int
     subindex: int
@@ -66,11 +66,11 @@ class Object:
     area: str  # where the bytes are: "axis", "rpdo", "tpdo", "more" (beyond the record), "constant"
     offset: int
     when: str = ""  # `objects.hooks.WHEN`: state of the drive that a write needs
-    hook: str = ""  # `objects.hooks.HOOKS`: what reading or writing does beside moving bytes
+    hook: str = ""  # `objects.hooks.HOOKS`: further effect of reading or writing
     per_node: bool = False  # the node-id is added to the default
-    where: str = ""  # file and line it was read from
-    possible: tuple[int, ...] = ()  # values that its hook lets through, told to who writes another
-    stored: str = ""  # format of its bytes in the record, where they are more or fewer
+    where: str = ""  # file and line of the row
+    possible: tuple[int, ...] = ()  # values that its hook accepts, for error messages
+    stored: str = ""  # format of its bytes in the record, if that has another size
 
     @property
     def address(self) -> str:
@@ -94,23 +94,23 @@ class Object:
 
     @cached_property
     def code(self) -> struct.Struct:
-        """The value as bytes, little-endian; of no size for strings."""
+        """The value as little-endian bytes; of size 0 for strings."""
         return struct.Struct("<" + self.format)
 
     @cached_property
     def held(self) -> struct.Struct:
-        """The value as the bytes in the drive's memory."""
+        """The value as bytes in the drive's memory."""
         return struct.Struct(f"<{self.stored or self.format}")
 
     def shown(self, value: int) -> int:
-        """A value of the drive's memory as a number of the data type: its lower bytes."""
+        """A value of the drive's memory as a number of the data type, from its lower bytes."""
         bits = 8 * self.size
         value &= (1 << bits) - 1
         return value - (1 << bits) if self.format.islower() and value >> bits - 1 else value
 
     @property
     def length(self) -> int:
-        """Bytes of every value, 0 for strings of any length."""
+        """Size of every value (bytes), 0 for strings of any length."""
         return self.size or LENGTHS.get(self.data_type, 0)
 
     @cached_property
@@ -123,7 +123,7 @@ class Object:
         return text.encode("utf-16-le" if self.data_type == "UNICODE_STRING" else "utf-8")
 
     def pack(self, value: int | float) -> bytes:
-        """Bytes of a number. Raises ValueError for one that its data type does not hold."""
+        """Bytes of a number. Raises ValueError for a number outside of its data type."""
         try:
             return self.code.pack(value)
         except (struct.error, OverflowError) as error:
@@ -132,7 +132,7 @@ class Object:
             ) from None
 
     def unpack(self, data: bytes) -> int | float:
-        """The number `data` begins with: an SDO without a size has always four bytes (CiA 301).
+        """The number at the beginning of `data`: an SDO without a size has four bytes (CiA 301).
 
         Raises:
             ValueError: fewer bytes than the number has.
@@ -150,11 +150,11 @@ class Fault:
     """A row of faults.csv."""
 
     code: int
-    main: int | None  # number the manufacturer gives the fault, with `sub`
+    main: int | None  # manufacturer's number of the fault, with `sub`
     sub: int | None
     meaning: str
     register: int
-    cause: Cause  # NONE: comes only by injection
+    cause: Cause  # NONE: only by fault injection
     reaction: Reaction
     changeable: bool  # False: a master may only choose a more severe reaction
     section: str
@@ -162,7 +162,7 @@ class Fault:
 
     @property
     def name(self) -> str:
-        """Fault number as the maker's lists and displays print it, ``17-0``."""
+        """Fault number as manuals and displays print it, ``17-0``."""
         return "" if self.main is None else f"{self.main:02d}-{self.sub or 0}"
 
 
@@ -173,7 +173,7 @@ KINDS_OF_UNITS = (  # first words of a unit -> of a signed type, of an unsigned 
 )
 
 
-QUANTITIES = {  # what is measured -> its unit, as the manuals spell it
+QUANTITIES = {  # quantity -> its unit as the manuals spell it
     "position": r"position units?",
     "velocity": r"(velocity|speed) units?",
     "acceleration": r"acceleration units?",
@@ -182,15 +182,15 @@ QUANTITIES = {  # what is measured -> its unit, as the manuals spell it
 
 
 def quantity(unit: str) -> str:
-    """What a unit of the factor group or of the rated torque measures; "" for any other."""
+    """Quantity of a unit of the factor group or of the rated torque; "" for any other."""
     return next((name for name, spelt in QUANTITIES.items() if re.fullmatch(spelt, unit)), "")
 
 
 def own_stored(objects: dict[tuple[int, int], Object]) -> tuple[tuple[int, int, int], ...]:
-    """Values in units of the factor group that stand in the model's own bytes.
+    """Objects in units of the factor group that are stored in the model's own bytes.
 
-    Each with its offset in `od`, its size (byte, negative: signed) and its `Kind`.
-    Raises ValueError for more than the record has place for.
+    Each has an offset in `od`, a size (byte, negative: signed) and a `Kind`. Raises ValueError if
+    there are more than the record has room for.
     """
     found = {}
     for row in objects.values():
@@ -222,13 +222,13 @@ FAULT_COLUMNS = (
     "section",
 )
 MORE_BYTES = 1 << 20  # objects beyond the record, which no PDO carries
-ALIGNMENT = 7  # bytes at most that an object's alignment leaves free
-LAST_NODE = 127  # what is added to a default at most
+ALIGNMENT = 7  # largest gap before an aligned object (bytes)
+LAST_NODE = 127  # largest node-id that is added to a default
 LARGEST_SET = 1 << 16  # values of {low..high}
 
 
 def lines_of(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, str], str]]:
-    """Rows of a CSV file, each with the words "file, line n" for error messages."""
+    """Rows of a CSV file, each with "file, line n" for error messages."""
     reader = csv.DictReader(io.StringIO(foreign.text(path, "a file of a model"), newline=""))
     try:
         missing = [column for column in columns if column not in (reader.fieldnames or ())]
@@ -247,7 +247,7 @@ def lines_of(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[dict[str, s
 
 
 def integer(text: str, where: str, what: str, bits: int = 0) -> int:
-    """An integer; with `bits` one that an unsigned field of so many takes."""
+    """An integer; with `bits`, one that fits an unsigned field of that length."""
     try:
         value = int(text, 0)
     except ValueError:
@@ -258,7 +258,7 @@ def integer(text: str, where: str, what: str, bits: int = 0) -> int:
 
 
 def read_cells(path: Path) -> Cells:
-    """The rows of an objects.csv by index and sub-index, as they are written.
+    """The rows of an objects.csv by index and sub-index, as text.
 
     Raises ValueError with file, line and reason.
     """
@@ -275,10 +275,10 @@ def read_cells(path: Path) -> Cells:
 
 
 def referred(own: Cells, base: Cells, standard: Cells) -> Cells:
-    """`base` with the rows of `own` in their place or behind.
+    """The rows of `base`, replaced and extended by those of `own`.
 
-    A row without a data_type refers to the row of its address in `base`, or else in `standard`: it
-    says only what differs, ``-`` empties a cell. Raises ValueError where there is no such row.
+    A row without a data_type refers to the row of its address in `base`, or else in `standard`. It
+    contains only the differences; ``-`` empties a cell. Raises ValueError if there is no such row.
     """
     cells = {**base}
     for address, (row, where) in own.items():
@@ -298,7 +298,7 @@ def referred(own: Cells, base: Cells, standard: Cells) -> Cells:
 
 
 def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
-    """The objects by index and sub-index. Raises ValueError with file, line and reason."""
+    """Objects by index and sub-index. Raises ValueError with file, line and reason."""
     objects: dict[tuple[int, int], Object] = {}
     names: set[str] = set()
     record = _Places(OD.fields["vendor"][1], VENDOR_BYTES)  # type: ignore[index]
@@ -314,7 +314,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
                 )
         size, stored = SIZES[FORMATS[row["data_type"]]], ""
         place = parameter_place(index, subindex) if row["access"] != "const" else None
-        if place == ("constant", 0) and row["access"] in ("rw", "wo"):  # reserved, yet written to
+        if place == ("constant", 0) and row["access"] in ("rw", "wo"):  # reserved, yet writable
             place = None
         area, offset = place or ("axis", 0)
         if area != "axis":
@@ -329,7 +329,7 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
         elif not FORMATS[row["data_type"]] or row["access"] == "const":
             area = "constant"
         else:
-            # what can be mapped has to be in the record; the others as far as there is place
+            # mappable objects have to be in the record, others if there is room
             fits = bool(row["pdo"]) or record.left - size - ALIGNMENT >= mapped
             area = "axis" if fits else "more"
             offset = (record if fits else more).take(size, where)
@@ -341,13 +341,13 @@ def read_objects(cells: Cells) -> dict[tuple[int, int], Object]:
 
 @dataclass
 class _Places:
-    """Bytes that are given away one after the other, each object aligned to its size."""
+    """Bytes that are allocated in order, each object aligned to its size."""
 
     free: int
     left: int
 
     def take(self, size: int, where: str) -> int:
-        """The place of an object. Raises ValueError where none is left."""
+        """Allocate an object. Raises ValueError if no room is left."""
         gap = -self.free % max(size, 1)
         if gap + size > self.left:
             raise ValueError(
@@ -360,7 +360,7 @@ class _Places:
 
 
 def _own_size(address: tuple[int, int], row: dict[str, str]) -> int:
-    """Bytes of the record that a row takes, its alignment included; 0 where it has others."""
+    """Bytes of the record that a row needs, including alignment; 0 if it has a field."""
     code = FORMATS.get(row["data_type"], "")
     own = code and not row["field"] and row["access"] != "const"
     return SIZES[code] + SIZES[code] - 1 if own and parameter_place(*address) is None else 0
@@ -401,7 +401,7 @@ def _object(row, where, index, subindex, area, offset, stored) -> Object:
 
 
 def _check_number(default: str, data_type: str, where: str) -> None:
-    """Refuse a default that a number kept as bytes cannot have."""
+    """Refuse an impossible default of a number that is stored as bytes."""
     try:
         int(default or "0", 0)
     except ValueError:
@@ -441,7 +441,7 @@ def _type_range(code: str) -> tuple[float, float]:
 def _field(field: str, data_type: str, where: str) -> tuple[int, str]:
     """Byte offset of `name` or `name[i]` in the `od` half of the record, and its format.
 
-    The format is empty where the object has as many bytes.
+    The format is empty if the object has the same size.
     """
     match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field)
     if not match or match[1] not in OD.fields:  # type: ignore[operator]
@@ -458,7 +458,7 @@ def _field(field: str, data_type: str, where: str) -> tuple[int, str]:
 
 
 def same_number(code: str, other: str) -> bool:
-    """Whether two formats are whole numbers of at most 32 bits: one can stand for the other."""
+    """Whether two formats are integers of at most 32 bits, which are interchangeable."""
     return {code, other} <= {*"BbHhIi"}
 
 
@@ -491,9 +491,9 @@ def read_faults(path: Path, variant: str = "") -> tuple[Fault, ...]:
 
 
 def with_sections(objects: dict[tuple[int, int], Object], sections: dict[str, str]):
-    """The objects with sections of the model's own manual, and its base's as what they stand on.
+    """The objects with sections of the model's own manual, and the base's section as a note.
 
-    `sections` leads from a section of the base's manual to one of its own; what is in none gets "".
+    `sections` maps sections of the base's manual to those of the model's; others become "".
     """
     for address, row in objects.items() if sections else ():
         own = sections.get(row.section, "")

@@ -1,7 +1,8 @@
-"""What a user's function has that Numba does not compile: one line with file, line, field and hint.
+"""One-line errors for functions of users that Numba cannot compile: file, line, field and hint.
 
-Numba tells it in a page of its own steps, and an unknown field of a record as a bare KeyError. The
-place is taken from the code that Numba was at, or from its text; names are looked up in the source.
+Numba itself reports a page of its own steps, and an unknown field of a record as a bare KeyError.
+The place is taken from the code that Numba was compiling, or from its message; names are looked up
+in the source.
 """
 
 import ast
@@ -19,7 +20,7 @@ from numba import types
 
 from .names import hint
 
-HOUSE = (  # code that is not the user's
+HOUSE = (  # places of code that is not the user's
     *(str(Path(__file__).parents[2] / room) for room in ("drive", "envs", "training")),
     *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
     "<",
@@ -32,7 +33,7 @@ _ENDS = ("During:", "File ", "There are ", "Raised from")
 
 
 def telling(function: Callable[..., None], compiled: Callable[..., None]) -> Callable[..., None]:
-    """`compiled`, which raises ValueError in one line where `function` in it does not compile."""
+    """`compiled`, with a one-line ValueError if `function` in it does not compile."""
 
     @functools.wraps(compiled)
     def explained(*arguments: Any) -> None:
@@ -55,13 +56,13 @@ def _in_numba(error: BaseException) -> bool:
 
 
 def refusal(error: Exception, function: Any) -> str:
-    """File, line and what does not compile there, of an error of Numba in `function`."""
+    """File, line and reason of an error of Numba in `function`."""
     source = getattr(function, "py_func", function).__code__
     file, line = next(_places(error), (source.co_filename, 0))
     what = _field(error, file, line)
     if not what:
         what = _shortened(error)
-        if name := _NO_NAME.search(what):  # Numba tells the function only, and the call of it
+        if name := _NO_NAME.search(what):  # Numba names only the function and its call
             callee = _CALLEE.search(str(error))
             line = _line_of(file, name[1], callee[1] if callee else source.co_name) or line
             known = getattr(getattr(function, "py_func", function), "__globals__", ())
@@ -71,7 +72,7 @@ def refusal(error: Exception, function: Any) -> str:
 
 
 def _places(error: Exception) -> Iterator[tuple[str, int]]:
-    """Where in a user's own code Numba was, the innermost first."""
+    """Places in the user's code that Numba was compiling, innermost first."""
     for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
         for value in frame.f_locals.values():
             place: Any = getattr(value, "loc", None)
@@ -88,7 +89,7 @@ def _own(file: str, line: int) -> Iterator[tuple[str, int]]:
 
 
 def _field(error: Exception, file: str, line: int) -> str:
-    """The field that a record does not have, with near ones; empty if it is something else."""
+    """An unknown field of a record, with similar ones; empty for any other error."""
     if not isinstance(error, KeyError):
         return ""
     name = str(error.args[0]) if error.args else ""
@@ -103,7 +104,7 @@ def _field(error: Exception, file: str, line: int) -> str:
 
 
 def _shortened(error: Exception) -> str:
-    """What Numba says, without its steps and what it has tried."""
+    """Numba's message without its steps and attempts."""
     kept: list[str] = []
     for text in map(str.strip, str(error).splitlines()):
         if kept and text.startswith(_ENDS):
@@ -126,13 +127,13 @@ def _functions(file: str) -> list[ast.FunctionDef]:
 
 
 def _function_at(file: str, line: int) -> str:
-    """Name of the innermost function around a line; empty where there is none."""
+    """Name of the innermost function around a line; empty if there is none."""
     around = [f for f in _functions(file) if f.lineno <= line <= (f.end_lineno or f.lineno)]
     return max(around, key=lambda f: f.lineno).name if around else ""
 
 
 def _line_of(file: str, name: str, function: str) -> int:
-    """Where a function uses a name first; 0 where it does not."""
+    """Line in which a function first uses a name; 0 if it does not."""
     for one in _functions(file):
         if one.name == function:
             uses = [n.lineno for n in ast.walk(one) if isinstance(n, ast.Name) and n.id == name]

@@ -1,7 +1,7 @@
 """Rules of the communication objects 1000h-127Fh: what a master may write (CiA 301).
 
 The identifier of a service may change only while the service is not in use; identifiers of 29 bits
-and those that CiA 301 restricts are refused. PDOs have their own rules in `objects`.
+and those that CiA 301 restricts are refused. The rules of PDOs are in `mapping`.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from .abort import Abort
 from .device import Dictionary
 
 BIT_31, BIT_30 = 0x8000_0000, 0x4000_0000
-UNUSABLE = 0x3FFF_F800  # bit 29, an identifier of 29 bits, and the bits only such a one has
+UNUSABLE = 0x3FFF_F800  # bit 29 for an identifier of 29 bits, and its upper bits
 RESTRICTED = (  # CiA 301, restricted CAN-IDs
     (0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
     (0x701, 0x77F), (0x780, 0x7FF),
@@ -20,15 +20,15 @@ RESTRICTED = (  # CiA 301, restricted CAN-IDs
 
 
 class CobId(NamedTuple):
-    """How the COB-ID of a service is read: in use where ``value & bit == used``."""
+    """The COB-ID of a service: it is in use if ``value & bit == used``."""
 
     bit: int
     used: int
-    refused: int = 0  # bits of what the drive does not support
-    always: bool = False  # the identifier is listened to whatever `bit` says
+    refused: int = 0  # bits of features that the drive does not support
+    always: bool = False  # the identifier counts independently of `bit`
 
     def check(self, old: int, new: int) -> Abort:
-        """Whether `new` may take the place of `old`."""
+        """Whether `new` may replace `old`."""
         in_use = new & self.bit == self.used
         if new & (UNUSABLE | self.refused):
             return Abort.INVALID_VALUE

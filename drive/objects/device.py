@@ -1,7 +1,7 @@
-"""What the dictionary and its hooks need of a drive, and hooks of the dictionary: two Protocols.
+"""Protocols: what dictionary and hooks need of a drive, and hooks of the dictionary.
 
-`drive.Drive` is such a device and `dictionary.ObjectDictionary` such a dictionary; neither is known
-here, so that what an object does can be written, read and tested without them.
+`drive.Drive` is a `Device` and `dictionary.ObjectDictionary` a `Dictionary`. Hooks depend only on
+the protocols, so they can be written and tested without the classes.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class Dictionary(Protocol):
         """Store a checked value."""
 
     def put_factors(self, values: Any) -> None:
-        """Store values that make the units."""
+        """Store values that define the units."""
 
     def find(self, index: int, subindex: int) -> tuple[Any, Abort]:
         """The slot of an object, or why there is none."""
@@ -54,7 +54,7 @@ class Device(Protocol):
     index: int
     node_id: int
     operational: bool
-    synchronisation: Any  # what EtherCAT measures, by the names of hooks.ethercat; None without
+    synchronisation: Any  # measurements of EtherCAT with the names of hooks.ethercat, or None
     communication_version: int
     wanted_node_id: int | None
     rpdos: np.ndarray
@@ -70,16 +70,16 @@ class Device(Protocol):
 
     @property
     def energised(self) -> bool:
-        """Whether the state feeds the motor."""
+        """Whether the motor has power in the present state."""
 
     def reset(self) -> None:
-        """Power on."""
+        """Switch the drive on."""
 
     def snapshot(self) -> bytes:
-        """Everything it is."""
+        """Return the complete state."""
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was."""
+        """Restore the state of a snapshot."""
 
     def image_changed(self) -> None:
-        """Forget what was derived from the PDO mapping."""
+        """Discard everything derived from the PDO mapping."""

@@ -1,7 +1,7 @@
 """Object dictionary: SDO access to the memory of one drive, with the abort codes of CiA 301.
 
 Order of the checks: object, sub-index, access, length, range, device state, side effects. A refused
-write changes nothing. What a write does beside storing its bytes is a row of `HOOKS`.
+write changes nothing. Further effects of a write are rows of `HOOKS`.
 """
 
 import functools
@@ -26,7 +26,7 @@ from .slots import Names, Slot, Slots
 def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, tuple[int, int]]]:
     """The objects of a model by address, which all its drives share, and addresses by name.
 
-    Raises ValueError with file, line and reason where a row names what is not a hook.
+    Raises ValueError with file, line and reason for an unknown hook and an impossible mapping.
     """
     rows = all_objects(model)
     for row in rows:
@@ -46,7 +46,7 @@ def patterns(model: DriveModel) -> tuple[dict[tuple[int, int], Slot], dict[str, 
 
 
 def _hook(model: DriveModel, row: Object) -> Hook | None:
-    """What an object does beside its bytes; process data do the same, or are refused."""
+    """The hook of an object. A hook that process data would bypass is refused."""
     if not row.hook:
         return None
     try:
@@ -78,7 +78,7 @@ def indices(model: DriveModel) -> frozenset[int]:
 
 
 class ObjectDictionary:
-    """The objects of one drive. `read` and `write` speak bytes and abort codes, never raise."""
+    """The objects of one drive. `read` and `write` use bytes and abort codes and never raise."""
 
     def __init__(self, drive: Device, views: Mapping[str, memoryview | None]):
         self.drive = drive
@@ -86,12 +86,12 @@ class ObjectDictionary:
         self.slots = Slots(shared, views)
         self.names = Names(names, self.slots)
         self.results: dict[int, bytes] = {}  # of a parameter channel, by sub-index
-        self.texts: dict[tuple[int, int], bytes] = {}  # written to objects that are kept as bytes
+        self.texts: dict[tuple[int, int], bytes] = {}  # values of objects that are stored as bytes
         self._stores = drive.model.quirk("writes_are_stored")
         self._changed = drive.axes["parameters_changed"][drive.index : drive.index + 1]
 
     def find(self, index: int, subindex: int) -> tuple[Slot | None, Abort]:
-        """The slot of an object, or why there is none."""
+        """The slot of an object, or the reason why there is none."""
         slot = self.slots.get((index, subindex))
         if slot is not None:
             return slot, Abort.NONE
@@ -99,7 +99,7 @@ class ObjectDictionary:
         return None, Abort.NO_SUBINDEX if known else Abort.NO_OBJECT
 
     def value(self, index: int, subindex: int = 0, default: int = 0) -> int:
-        """Value of a communication object, `default` where the model does not have it."""
+        """Value of a communication object, `default` if the model lacks it."""
         slot = self.slots.get((index, subindex))
         return int(slot.get()) if slot else default
 
@@ -118,7 +118,7 @@ class ObjectDictionary:
         return value.encode() if isinstance(value, str) else slot.code.pack(value), Abort.NONE
 
     def shown(self, slot: Slot) -> int | float | str | Abort:
-        """Value of an object as a master reads it, or why it cannot."""
+        """Value of an object as a master reads it, or an abort code."""
         return slot.reads(self, slot.row) if slot.reads else slot.get()
 
     def write(self, index: int, subindex: int, data: bytes) -> Abort:
@@ -161,7 +161,7 @@ class ObjectDictionary:
         return Abort.NONE
 
     def put(self, slot: Slot, value: int | float) -> None:
-        """Store a checked value; after one that makes the units the numbers of others follow."""
+        """Store a checked value; if it defines the units, numbers of other objects follow."""
         if slot.kept == FACTOR:
             self.put_factors([(slot, value)])
             return
@@ -170,14 +170,14 @@ class ObjectDictionary:
             written(self.drive, slot.kept)
 
     def put_factors(self, values: Iterable[tuple[Slot, int | float]]) -> None:
-        """Store values that make the units, all at once."""
-        units_changed(self.drive.axes, self.drive.index)  # the numbers stand in these
+        """Store values that define the units, all at once."""
+        units_changed(self.drive.axes, self.drive.index)  # the present units
         for slot, value in values:
             slot.put(value)
         units_changed(self.drive.axes, self.drive.index)
 
     def slot(self, index: int | str, subindex: int) -> Slot:
-        """For Python: the slot of an address or name; raises SdoAbort with a hint."""
+        """The slot of an address or name, for Python. Raises SdoAbort with a hint."""
         if isinstance(index, str):
             slot = self.names.get(index)
             if slot is None:

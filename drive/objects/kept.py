@@ -1,7 +1,7 @@
-"""Which objects have values in units of the factor group, and where the record keeps them.
+"""The objects with values in units of the factor group, and their places in the record.
 
-See `kernel.factors.stored`. Here are the addresses, and what of it outlives a power-off: a value
-that has not been written since the units changed is stored as it was written, with the unit it had.
+See `kernel.factors.stored`. A value that has not been written since the units changed is stored as
+it was written, with its unit of that time, and so survives a power-off.
 """
 
 import functools
@@ -15,7 +15,7 @@ from ..model.rows import Object
 from .device import Device
 
 ARRAYS = ("kept_raw", "kept_unit", "kept_numerator", "kept_denominator")
-FACTOR = -1  # place of what makes the units itself
+FACTOR = -1  # place of an object that defines the units
 
 
 def _span(field: str) -> list[int]:
@@ -31,7 +31,7 @@ FACTOR_OFFSETS = {offset for field in FACTORS for offset in _span(field)}
 
 
 def place(model: DriveModel, row: Object) -> int | None:
-    """Place of an object's value in `AXIS.kept_raw`, FACTOR, or None: the object has neither."""
+    """Place of an object's value in `AXIS.kept_raw`, FACTOR, or None for other objects."""
     if not model.quirk("values_keep_meaning") or row.area != "axis":
         return None
     if row.offset in FACTOR_OFFSETS:
@@ -85,7 +85,7 @@ def kept(drive: Device) -> dict[int, WrittenValue]:
 
 
 def keep(drive: Device, values: dict[int, WrittenValue]) -> None:
-    """Put `kept` values in force, whose numbers stand in the objects; all others are as written."""
+    """Restore `kept` values whose numbers are in the objects; all others are as written."""
     axis = drive.axis
     if values:
         axis.converted = 1
@@ -101,7 +101,7 @@ def keep(drive: Device, values: dict[int, WrittenValue]) -> None:
 
 
 def factors(drive: Device) -> bytes:
-    """What makes the units now, to be compared; empty where it does not matter."""
+    """The objects that define the units as bytes for comparison; empty if they do not matter."""
     slots = drive.objects.slots
     return b"".join(
         slot.code.pack(slot.get())

@@ -64,7 +64,7 @@ MAPPING = [
 
 
 def _placed(index: int, of: int, name: str, names: list[tuple[int, str, str]]) -> list[Object]:
-    """Rows of a PDO parameter object; they live in the record of the PDO that has `of` on CAN."""
+    """Rows of a PDO parameter object, stored in the record of the PDO with index `of` on CAN."""
     rows = []
     for subindex, label, data_type in names:
         place = parameter_place(of, subindex)
@@ -76,7 +76,7 @@ def _placed(index: int, of: int, name: str, names: list[tuple[int, str, str]]) -
 def ethercat_pdo_objects(model: DriveModel) -> list[Object]:
     """Rows of the PDOs of an EtherCAT model: flexible ones can be mapped, fixed ones are constant.
 
-    A PDO has no communication parameters there, and its index stands where CAN has the identifier.
+    A PDO has no communication parameters there, and `cob_id` is its index.
     """
     rows = []
     for ((_, first), area, _), pdos, flexible in zip(
@@ -99,7 +99,7 @@ def ethercat_pdo_objects(model: DriveModel) -> list[Object]:
 
 
 def all_objects(model: DriveModel) -> list[Object]:
-    """The objects of a model; it lists those of its PDOs itself, or has the standard ones."""
+    """The objects of a model, with those of its PDOs, which it lists or which are standard."""
     rows = [*model.objects.values()]
     if model.ethercat is not None:
         own = {row.index for row in rows}
@@ -110,7 +110,7 @@ def all_objects(model: DriveModel) -> list[Object]:
 
 
 def described(model: DriveModel) -> list[Object]:
-    """All objects of a model in their order, those of its PDOs with the defaults of pdo.csv."""
+    """All objects of a model in order; those of its PDOs have the defaults of pdo.csv."""
     found = [_with_default(row, model) for row in all_objects(model)]
     return sorted(found, key=lambda row: (row.index, row.subindex))
 
@@ -147,7 +147,7 @@ WriteHook = Callable[[Dictionary, Object, int], Abort]
 
 
 def _number(row: Object) -> int:
-    """Of the PDO whose record a row lies in, or that it belongs to by its index."""
+    """Number of the PDO of a row, by its place in the records or by its index."""
     return row.offset // PDO.itemsize if row.area in ("rpdo", "tpdo") else row.index & 0x1FF
 
 
@@ -251,13 +251,13 @@ def _ordinal(row: Object, value: float) -> int:
 
 
 def _held(row: Object, receive: bool) -> int:
-    """Bytes of a value in the record, < 0 where what is put in front of it is its sign."""
+    """Bytes of a value in the record, < 0 if it is extended by its sign."""
     signed = (row.format if receive else row.stored).islower()
     return -row.held.size if signed else row.held.size
 
 
 def _target(od: Dictionary, receive: bool, mapping: int, exact: bool = True) -> tuple[int, Abort]:
-    """Where a mapping entry's bytes lie in the record, or the abort code of the refusal."""
+    """Offset of a mapping entry's bytes in the record, or the abort code of its refusal."""
     index, subindex, bits = mapping_entry(mapping)
     if index in DUMMY_BITS and subindex == 0:
         mappable = receive and bits == DUMMY_BITS[index]
@@ -308,7 +308,7 @@ RULES_OF_RANGES: dict[int, WriteHook] = {  # by index & FE00h
 
 
 def compile_default(od: Dictionary, pdo, receive: bool) -> None:
-    """Compile a mapping that the model or a parameter file brought."""
+    """Compile a mapping that comes from the model or a parameter file."""
     fixed = od.drive.model.ethercat is not None
     abort = _compile(od, pdo, receive, int(pdo.count), fixed=fixed)
     if abort:

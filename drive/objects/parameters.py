@@ -1,7 +1,7 @@
-"""The parameter sets of a drive: factory defaults, what is stored, what is in force.
+"""The parameter sets of a drive: factory defaults, stored values, and present values.
 
-Power-on fills the record with the model's defaults and then with what was stored (1010h), in a file
-or, without one, in the drive itself.
+Power-on fills the record with the model's defaults and then with the values that were stored
+(1010h) in a file or, without one, in the drive itself.
 """
 
 import functools
@@ -24,17 +24,17 @@ from .mapping import all_objects
 from .reactions import REACTIONS, chosen, of, reaction_code, set_reaction
 from .slots import Slot
 
-# objects that loading the defaults leaves alone (CMMP-AS 5.5, ARS 2000 6.5.2)
+# objects that loading the defaults does not change (CMMP-AS 5.5, ARS 2000 6.5.2)
 KEPT = ("pole_number", "encoder_offset_angle")
-# kinds of entries of a parameter file: the number of an object, a value in the units in which it
-# was written, the changed reaction to a fault by its main and sub-number, what is no parameter
+# kinds of entries in a parameter file: the number of an object; a value in the units in which it
+# was written; a changed reaction to a fault, by main and sub-number; a setting that 1011h keeps
 OBJECT, AS_WRITTEN, REACTION, IDENTITY = "object", "as_written", "reaction", "identity"
 ALIAS = "alias:0"  # station alias of an EtherCAT slave
 LSS = ("lss:0", "lss:1")  # node-id and bit rate (bit/s; 0: none) of LSS
 
 
 class Entry(NamedTuple):
-    """What an address in a parameter file stands for."""
+    """The meaning of an address in a parameter file."""
 
     kind: str
     first: int = 0  # index, or main number of a fault
@@ -58,7 +58,7 @@ def entry(address: str) -> Entry | None:
 
 @functools.cache
 def kept_bytes(model: DriveModel) -> np.ndarray:
-    """Where in the record the storable objects of a model are, and what 2100h sets."""
+    """Offsets in the record of the storable objects of a model, and of the settings of 2100h."""
     od = AXIS.fields["od"][1]  # type: ignore[index]
     spans = [
         (row.offset, row.held.size)
@@ -71,7 +71,7 @@ def kept_bytes(model: DriveModel) -> np.ndarray:
 
 
 class Parameters:
-    """Parameter sets of `drive`; `file` is where 1010h stores them, None: only in the drive."""
+    """Parameter sets of a drive; 1010h stores them in `file`, or with None only in the drive."""
 
     def __init__(self, drive: Device, file: str | Path | None):
         self._drive = drive
@@ -81,7 +81,7 @@ class Parameters:
         self.lss: tuple[int, int] | None = None  # stored by LSS: node-id, bit rate or 0
 
     def standard_defaults(self) -> None:
-        """Objects a model lacks behave as the defaults of the standard's own drive."""
+        """Give fields without an object the defaults of the model `generic`."""
         od = self._drive.objects.names["statusword"].view
         own = {row.offset for row in self._drive.model.objects.values() if row.area == "axis"}
         for row in load("generic").objects.values():
@@ -89,7 +89,7 @@ class Parameters:
                 Slot(row, od).put(row.default)  # type: ignore[arg-type]
 
     def defaults(self) -> None:
-        """Put the factory defaults in force, PDOs included."""
+        """Apply the factory defaults, including PDOs."""
         self._drive.objects.texts.clear()
         for area in ("axis", "more"):
             for slot in self._drive.objects.slots.within(area):
@@ -98,7 +98,7 @@ class Parameters:
         self._default_pdos()
 
     def _default(self, slot: Slot) -> Any:
-        """Factory default; some identifiers count from the node-id."""
+        """Factory default; the node-id is added to some identifiers."""
         default: Any = slot.row.default
         return default + self._drive.node_id if slot.row.per_node else default
 
@@ -127,7 +127,7 @@ class Parameters:
                     slot.put(slot.row.default)  # type: ignore[arg-type]
 
     def values(self) -> store.Values:
-        """All storable values, but not identifiers that still follow from the node-id."""
+        """All storable values except identifiers that still follow from the node-id."""
         model = self._drive.model
         follow = {
             (base + number, 1): self._default_cob_id(mapping)
@@ -153,21 +153,21 @@ class Parameters:
         return values | self._identity()
 
     def _identity(self) -> store.Values:
-        """What is stored beside the parameters and stays when they are forgotten."""
+        """Stored settings that are no parameters and stay when 1011h deletes those."""
         values: store.Values = {ALIAS: self.alias} if self.alias else {}
         return values | dict(zip(LSS, self.lss or (), strict=False))
 
     def react(self) -> None:
-        """Put the reactions in force that 2100h has set."""
+        """Apply the reactions that 2100h has set."""
         for fault in self._drive.model.faults:
             if chosen(self._drive, fault):
                 set_reaction(self._drive, [fault], reaction_code(self._drive, fault))
 
     def use(self, file: Path) -> None:
-        """Store in a file from now on; what it does not hold stays as it is.
+        """Store in a file from now on and load it; values that it lacks stay as they are.
 
-        Raises ValueError where there is a file that cannot be trusted: who names it wants what it
-        holds, and not the factory defaults with which a drive would power on.
+        Raises ValueError if the file exists and cannot be trusted, as its user wants its values and
+        not the factory defaults with which a drive would power on.
         """
         try:
             values = store.read(file, self._drive.model.name, self._unfit)
@@ -183,14 +183,14 @@ class Parameters:
         self._drive.axis.parameters_changed = 1
 
     def become(self, kept: store.Values | None, alias: int) -> None:
-        """Take over what another drive has stored without a file."""
+        """Take over the values that another drive has stored without a file."""
         self.kept = kept
         if self.file is None:
             self.stored()
         self.alias = alias
 
     def stored(self) -> store.Values:
-        """What was saved, empty without it; a file goes before what was delivered."""
+        """The saved values, or none; those of a file replace those of `deliver`."""
         values = dict(self.kept or {})
         if self.file is not None:
             values |= store.load(self.file, self._drive.model.name, self._unfit)
@@ -199,7 +199,7 @@ class Parameters:
         return values
 
     def _unfit(self, address: str, value: int | float) -> str:
-        """Why the drive cannot have a value of a parameter file; empty if it can."""
+        """Reason why the drive cannot have a value of a parameter file; empty if it can."""
         found = entry(address)
         if found is None:
             return "has no address of an object"
@@ -232,7 +232,7 @@ class Parameters:
         return f"is more than {ENTRIES} entries" if mapping and value > ENTRIES else ""
 
     def _ranges(self, values: store.Values) -> store.Ranges:
-        """What the drive takes for the values of objects."""
+        """Ranges of the values of objects."""
         found = ((address, entry(address)) for address in values)
         slots = {a: self._storable(e) for a, e in found if e is not None and e.kind == OBJECT}
         return {
@@ -246,11 +246,11 @@ class Parameters:
         return slot if slot is not None and slot.row.storable else None
 
     def restore(self, values: store.Values) -> None:
-        """Put saved values in force; what the model does not store is left out.
+        """Apply saved values, except those that the model does not store.
 
-        First of all what makes the units: the defaults keep their meaning, the others are numbers
-        in these units, but for values that are saved as they were written. Values that do not go
-        together are told, and none of them is used.
+        Values that define the units come first: defaults keep their meaning, and the other values
+        are numbers in these units or, if saved so, values as they were written. Incompatible values
+        cause a warning, and none of them is used.
         """
         self._put(values)
         wrong = self._clash(values)
@@ -261,7 +261,7 @@ class Parameters:
             store.ignored(self.file or Path("of the drive"), wrong)
 
     def _clash(self, values: store.Values) -> str:
-        """Why the values in force do not go together; empty if they do."""
+        """Reason why the present values are incompatible; empty if they are not."""
         for address, value in values.items():
             found = entry(address)
             slot = self._storable(found) if found and found.kind == OBJECT else None
@@ -309,30 +309,27 @@ class Parameters:
         self.restore({a: v for a, v in stored.items() if a.startswith("1")})
 
     def keep_alias(self, alias: int) -> bool:
-        """Store a station alias, and nothing else, unless the model stores all; False if it failed.
+        """Store a station alias alone, or with all parameters if the model does so.
 
-        The alias is not a parameter: 1011h leaves it.
+        The alias is no parameter, so 1011h keeps it. Returns False if it failed.
         """
         values = self.values() if self._drive.model.quirk("alias_saves") else self.stored()
         self.alias = alias
         return self._keep({**values, ALIAS: alias})
 
     def keep_lss(self, node_id: int, bit_rate: int | None) -> bool:
-        """Store what LSS has configured, and nothing else; False if it failed.
-
-        It is not a parameter: 1011h leaves it.
-        """
+        """Store the configuration by LSS alone, which 1011h keeps. Returns False if it failed."""
         stored = self.stored()
         self.lss = node_id, bit_rate or 0
         return self._keep(stored | self._identity())
 
     def export(self) -> bytes:
-        """The parameter file as the drive would store it now."""
+        """The content of a parameter file with the present values."""
         values = self.values()
         return store.encode(self._drive.model.name, values, self._ranges(values)).encode()
 
     def take(self, content: bytes) -> str:
-        """Store a parameter file for the next power-on; -> why it is refused, if it is."""
+        """Store a parameter file for the next power-on; return why it is refused, if it is."""
         try:
             values = store.decode(content.decode(), self._drive.model.name, self._unfit)
         except ValueError as error:
@@ -342,7 +339,7 @@ class Parameters:
         return "" if self._keep(values) else "it could not be stored"
 
     def _untried(self, values: store.Values) -> str:
-        """Do what power-on will do and take it back; -> why it cannot be done."""
+        """Try what power-on will do and undo it; return why it fails, if it does."""
         before = self._drive.snapshot()
         self._put(values)
         wrong = self._clash(values)
@@ -350,15 +347,15 @@ class Parameters:
         return wrong
 
     def deliver(self) -> None:
-        """Keep the values of now for every power-on, as a commissioned axis is handed over.
+        """Keep the present values for every power-on, as when a commissioned axis is handed over.
 
-        Many masters begin with NMT reset node, which takes back what is not stored. 1011h goes back
-        to the factory defaults all the same.
+        Many masters begin with NMT reset node, which discards values that are not stored. 1011h
+        still restores the factory defaults.
         """
         self.kept = self.values()
 
     def save(self) -> bool:
-        """What 1010h does: keep all storable objects for the next power-on; False if it failed."""
+        """Store all storable objects for the next power-on (1010h); False if it failed."""
         return self._keep(self.values())
 
     def _keep(self, values: store.Values) -> bool:
@@ -372,7 +369,7 @@ class Parameters:
         return True
 
     def load_defaults(self) -> None:
-        """What 1011h does in models where it acts at once: factory defaults, PDOs stay."""
+        """Apply factory defaults except those of PDOs: 1011h in models where it acts at once."""
         slots = [
             slot
             for slot in self._drive.objects.slots.values()
@@ -391,7 +388,10 @@ class Parameters:
         self._drive.axis.parameters_changed = 1
 
     def forget(self) -> bool:
-        """What 1011h does: the next power-on finds factory defaults; False if it failed."""
+        """Delete the stored values, so that the next power-on loads factory defaults (1011h).
+
+        Returns False if it failed.
+        """
         if identity := self._identity():
             return self._keep(identity)
         self.kept = None

@@ -1,9 +1,9 @@
-"""What a drive does about a fault where a master may choose it (2100h; CMMP-AS 5.18).
+"""Reactions to faults that a master may choose (2100h; CMMP-AS 5.18).
 
-Default, least reaction and whether there is a choice belong to each fault, to main and sub-number
-(CMMP-AS B.2, B.3). 2100h names the main number only: what is written there acts on each of its
-faults, down to the least reaction of that fault; what is read is that of sub-number 0, the one that
-6510h:22h, :37h and :38h choose as well (inferred).
+Each fault, by main and sub-number, has a default, a least reaction, and a choice or none (CMMP-AS
+B.2, B.3). 2100h has the main number only: a write acts on each of its faults, limited to the least
+reaction of that fault; a read returns the reaction of sub-number 0, which 6510h:22h, :37h and :38h
+choose as well (inferred).
 """
 
 from collections.abc import Iterable
@@ -26,18 +26,18 @@ CODES[Reaction.OPTION_CODE] = 5
 
 
 def of(drive: Device, main: int, sub: int | None = None) -> list[Fault]:
-    """The faults of a main number, or the one of them that `sub` names."""
+    """The faults of a main number, or the one with the sub-number `sub`."""
     return [f for f in drive.model.faults if f.main == main and sub in (None, f.sub or 0)]
 
 
 def reaction_code(drive: Device, fault: Fault) -> int:
-    """The code of the reaction to one fault: the one set, else the one listed."""
+    """The code of the reaction to a fault: the one set, otherwise the one listed."""
     code = int(drive.axis.od.reaction_code[fault.row])
     return code - 1 if code else CODES[fault.reaction]
 
 
 def reaction_to(drive: Device, fault: Fault) -> Reaction:
-    """What the drive does about one fault."""
+    """The reaction of the drive to a fault."""
     return REACTIONS[reaction_code(drive, fault)] if chosen(drive, fault) else fault.reaction
 
 
@@ -47,7 +47,7 @@ def chosen(drive: Device, fault: Fault) -> bool:
 
 
 def set_reaction(drive: Device, faults: Iterable[Fault], code: int) -> None:
-    """Change the reaction to faults, down to the least one of each."""
+    """Change the reaction to faults, limited to the least one of each."""
     for fault in faults:
         real = code if fault.changeable else max(code, CODES[fault.reaction])
         drive.axis.od.reaction_code[fault.row] = real + 1

@@ -1,6 +1,6 @@
-"""Slots: the objects of a drive and where their bytes are.
+"""Slots: the objects of a drive and the places of their bytes.
 
-All drives of a model share the pattern of each; a slot of a drive is the pattern with a view.
+All drives of a model share a pattern of each slot; a slot of a drive adds a view of its memory.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +12,7 @@ from .hooks import Hook
 
 
 class Slot:
-    """An object and where its bytes are; without a `view`, the pattern of it in every drive."""
+    """An object and the place of its bytes; without a `view`, a pattern for all drives."""
 
     __slots__ = ("code", "hook", "kept", "offset", "raw", "reads", "row", "view", "writable")
 
@@ -32,7 +32,7 @@ class Slot:
         self.kept = kept  # `kept.place`
 
     def of(self, views: Mapping[str, memoryview | None]) -> "Slot":
-        """Return the object's slot in the memory of one drive, by area."""
+        """Return the slot in the memory of one drive; `views` are its areas."""
         slot = Slot.__new__(Slot)
         slot.row, slot.offset, slot.code, slot.writable = (
             self.row, self.offset, self.code, self.writable
@@ -42,7 +42,7 @@ class Slot:
         return slot
 
     def get(self) -> int | float | str:
-        """The value as it stands."""
+        """The stored value."""
         if self.view is None:
             return self.row.default
         value = self.row.held.unpack_from(self.view, self.offset)[0]
@@ -55,7 +55,7 @@ class Slot:
 
     @property
     def accepts(self) -> str:
-        """What a master may write, for people."""
+        """Description of the values that a master may write."""
         row = self.row
         if row.possible or row.allowed is not None:
             return f"{row.name} may be one of {sorted(row.possible or row.allowed or ())}"
@@ -66,7 +66,7 @@ class Slot:
 
 
 class Slots(Mapping[tuple[int, int], Slot]):
-    """The slots of one drive by address; kept are those that were asked for one by one."""
+    """The slots of one drive by address; those requested singly are cached."""
 
     def __init__(self, shared: dict[tuple[int, int], Slot], views: Mapping[str, memoryview | None]):
         self._shared = shared
@@ -74,7 +74,7 @@ class Slots(Mapping[tuple[int, int], Slot]):
         self._made: dict[tuple[int, int], Slot] = {}
 
     def get(self, address: tuple[int, int], default: Any = None) -> Any:
-        """The slot of an address, `default` where there is none."""
+        """The slot of an address, `default` if there is none."""
         slot = self._made.get(address)
         if slot is None:
             pattern = self._shared.get(address)
@@ -84,7 +84,7 @@ class Slots(Mapping[tuple[int, int], Slot]):
         return slot
 
     def once(self, address: tuple[int, int]) -> Slot | None:
-        """The slot of an address, if there is one, for a single use: it is not kept."""
+        """The slot of an address, if there is one, for a single use; it is not cached."""
         pattern = self._shared.get(address)
         return pattern and pattern.of(self._views)
 

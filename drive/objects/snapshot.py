@@ -1,8 +1,8 @@
-"""Snapshots: a line with a checksum, a line of JSON that says whose it is, and arrays as bytes.
+"""Snapshots: a line with a checksum, a line of JSON with the identity, and arrays as bytes.
 
-One that is truncated, altered, of another version or of something else is refused before anything
-of it is taken over. The checksum finds damage; it is not a signature: the arrays are the memory of
-compiled code, so only take snapshots that you or someone you trust has made.
+A snapshot that is truncated, altered, of another version or of another object is refused before
+anything is restored. The checksum finds damage; it is not a signature. The arrays are the memory of
+compiled code, so restore only snapshots that you or someone you trust has made.
 """
 
 import hashlib
@@ -13,18 +13,18 @@ from typing import Any
 from ..model import foreign
 from ..model.foreign import Key
 
-VERSION = 4  # of the layout, and of what is in it
+VERSION = 4  # of layout and content
 MARK = b"servogym-snapshot"
 HEAD = {"identity": Key(dict, True), "state": Key(dict, True), "sizes": Key(list, True)}
 
 
 def seal(identity: Mapping[str, Any], state: Mapping[str, Any], parts: Sequence[bytes]) -> bytes:
-    """A snapshot.
+    """Make a snapshot.
 
     Args:
-        identity: of what it is taken; one with another identity refuses it. JSON's types.
-        state: the part of the state that is words. JSON's types.
-        parts: the part of it that is arrays.
+        identity: identity of the object, which has to be equal when it is restored (JSON types).
+        state: the part of the state that is text and numbers (JSON types).
+        parts: the part of the state that is arrays.
     """
     head = {"identity": identity, "state": state, "sizes": [len(part) for part in parts]}
     body = json.dumps(head).encode() + b"\n" + b"".join(parts)
@@ -39,12 +39,12 @@ def unseal(
 
     Args:
         snapshot: made by `seal`.
-        identity: of what is to take it over.
-        state: what its state says, and nothing else.
-        sizes: bytes of each part; None where they vary.
+        identity: identity of the object to be restored.
+        state: keys of its state; others are refused.
+        sizes: size of each part (bytes); None if it varies.
 
     Raises:
-        ValueError: it is none, damaged, of another version, or of something else.
+        ValueError: it is no snapshot, damaged, of another version, or of another object.
     """
     if not isinstance(snapshot, bytes | bytearray | memoryview):
         raise ValueError(f"{snapshot!r:.40} is not a snapshot: give the bytes of one")

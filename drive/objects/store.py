@@ -1,9 +1,9 @@
 """Parameter storage 1010h/1011h: one small file, replaced as a whole or not at all.
 
-The file is JSON: version of its form, model, values by object address with their ranges, and a
-checksum over all. A file that is truncated, altered, of another model, or holds what the drive
-cannot have is named in a warning and ignored; the drive then starts with its factory defaults,
-never with half of a set.
+The file is JSON with a format version, the model, values by object address with their ranges, and a
+checksum. A file that is truncated, altered, of another model, or contains impossible values is
+named in a warning and ignored; the drive then starts with its factory defaults, never with half of
+a set.
 """
 
 import contextlib
@@ -21,9 +21,9 @@ from ..model.files import content
 
 Values = dict[str, int | float]
 Ranges = dict[str, list[int]]
-VERSION = 2  # of the form of the file
+VERSION = 2  # of the file format
 SUFFIX = ".tmp"
-LEFT_OVER = 60.0  # s; an older file of a save is one that was killed
+LEFT_OVER = 60.0  # s; an older temporary file is from a process that was killed
 
 
 def _checksum(values: dict[str, Any]) -> int:
@@ -31,15 +31,15 @@ def _checksum(values: dict[str, Any]) -> int:
 
 
 def encode(model: str, values: Values, ranges: Ranges | None = None) -> str:
-    """The text of a parameter file; `ranges` are what the drive takes for the values."""
+    """The text of a parameter file; `ranges` are those of the values."""
     content = {"version": VERSION, "model": model, "values": values, "ranges": ranges or {}}
     return json.dumps(content | {"crc32": _checksum(content)}, indent=1)
 
 
 def decode(text: str, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
-    """The values of the text of a parameter file. Raises ValueError where it cannot be trusted.
+    """The values of the text of a parameter file. Raises ValueError if it cannot be trusted.
 
-    `check` tells of an address and a value why the drive cannot have it, if it cannot.
+    `check` returns why the drive cannot have a value at an address, or an empty text.
     """
     try:
         content = json.loads(text)
@@ -83,7 +83,7 @@ def save(path: Path, model: str, values: Values, ranges: Ranges | None = None) -
 
 
 def clean(path: Path, now: float) -> None:
-    """Remove what killed processes have left beside a parameter file until `now` (s)."""
+    """Remove old temporary files of killed processes beside a parameter file; `now` in s."""
     for left in path.parent.glob(f"{glob.escape(path.name)}*{SUFFIX}"):
         with contextlib.suppress(OSError):
             if now - left.stat().st_mtime > LEFT_OVER:
@@ -93,7 +93,7 @@ def clean(path: Path, now: float) -> None:
 def read(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
     """The values of a parameter file, empty if there is none.
 
-    Raises ValueError with the reason where it cannot be trusted.
+    Raises ValueError with the reason if it cannot be trusted.
     """
     try:
         return decode(content(path, "a parameter file").decode(), model, check)
@@ -108,7 +108,7 @@ def read(path: Path, model: str, check: Callable[[str, int | float], str] | None
 
 
 def load(path: Path, model: str, check: Callable[[str, int | float], str] | None = None) -> Values:
-    """The values a drive finds at power-on: none, and a warning, where they cannot be trusted."""
+    """The values that a drive loads at power-on; none, and a warning, if they are not reliable."""
     try:
         return read(path, model, check)
     except ValueError as error:
@@ -117,7 +117,7 @@ def load(path: Path, model: str, check: Callable[[str, int | float], str] | None
 
 
 def ignored(path: Path, reason: str) -> None:
-    """Tell that a parameter file is not used."""
+    """Warn that a parameter file is not used."""
     warnings.warn(
         f"parameter file {path} is ignored, the drive starts with factory defaults: {reason}; "
         "store the parameters again (1010h) to replace it",

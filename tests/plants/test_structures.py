@@ -247,7 +247,7 @@ def test_why_says_what_stands_between_position_error_and_torque():
     )
     for words in (
         "PID position controller gives the torque (P 6 Nm/rad, I 90 Nm/(rad·s), D 0.12 Nm·s/rad)",
-        "notch filter at 45.5 Hz", "low-pass of 800 µs", "observer of 30 Hz, told 0.0003 kg·m²",
+        "notch filter at 45.5 Hz", "low-pass of 800 µs", "observer of 30 Hz for 0.0003 kg·m²",
         "325 V gives less torque the faster it turns, and none at 6207 1/min",
     ):
         assert words in x.why()

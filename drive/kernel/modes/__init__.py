@@ -104,7 +104,7 @@ def _select(axis):
 
 @block
 def _halt(axis, controlword):
-    """Obey controlword bit 8 (halt option code 605Dh) unless device control is stopping the axis."""
+    """Obey controlword bit 8 (halt option code 605Dh) unless device control stops the axis."""
     halt = 1 if controlword & Controlword.HALT else 0
     if axis.state == State.OPERATION_ENABLED and axis.pending_transition == 0:
         by_slope = axis.halt_ends_job and axis.mode == Mode.PROFILE_TORQUE

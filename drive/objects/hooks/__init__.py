@@ -1,8 +1,8 @@
-"""What reading or writing an object does beside moving its bytes: `hook` in objects.csv by name.
+"""Further effects of reading or writing an object: the hooks that objects.csv names.
 
-A write hook sees the value after the checks of type, range and state. It returns NONE to have the
-value stored, STORED where that is already done, or the abort code of a refusal. `WHEN` are the
-states of the drive a write may need.
+A write hook runs after the checks of type, range and state. It returns NONE to have the value
+stored, STORED if that is already done, or the abort code of a refusal. `WHEN` contains the states
+of the drive that a write may need.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ HOOKS: dict[str, Hook] = standard.HOOKS | ars.HOOKS | act.HOOKS | ethercat.HOOKS
 
 
 def hook_of(model: DriveModel, name: str) -> Hook:
-    """A hook by name: one of these, of the model's folder, or of a package (`model.plugins`).
+    """A hook by name: from this package, the model's folder, or another package (`model.plugins`).
 
-    Raises LookupError where there is none, ValueError where a folder's is not to be run.
+    Raises LookupError if there is none, ValueError if that of a folder must not run.
     """
     return HOOKS.get(name) or plugin(model, Hook, name)[0]

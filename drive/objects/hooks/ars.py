@@ -1,4 +1,4 @@
-"""Objects of the ARS family (Metronix ARS 2000, Festo CMMP-AS, CMMS, CMMD) that do something.
+"""Hooks of the ARS family (Metronix ARS 2000, Festo CMMP-AS, CMMS, CMMD).
 
 Fault management 2100h and the objects that are views on it (CMMP-AS 5.4, 5.5, 5.7, 5.18), limits
 of the factor group (5.3), compatibility bits (5.2), the lock on 60C1h (7.4.2), set position (5.7),

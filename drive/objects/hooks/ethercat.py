@@ -24,12 +24,12 @@ ASSIGNMENTS = (0x1C12, 0x1C13)  # sync manager 2: outputs, 3: inputs
 
 
 def mappable(model: DriveModel) -> tuple[int, int]:
-    """How many RPDOs and TPDOs a master may map; they come first."""
+    """Number of RPDOs and TPDOs that a master may map; they come first."""
     return (0, 0) if model.ethercat is None else model.ethercat.mappable
 
 
 def excluded(model: DriveModel, manager: int) -> Mapping[int, frozenset[int]]:
-    """By PDO of an assignment object (1C12h, 1C13h) those that it cannot be assigned with."""
+    """For each PDO of an assignment object (1C12h, 1C13h), those it cannot be assigned with."""
     ethercat, direction = model.ethercat, ASSIGNMENTS.index(manager)
     if ethercat is None:
         return {}
@@ -67,7 +67,7 @@ def assign(od: Dictionary, index: int, count: int) -> Abort:
 
 def _assignment(od: Dictionary, row: Object, value: int) -> Abort:
     if od.drive.model.ethercat is None:
-        return Abort.NONE  # the object is there on another bus too, and means nothing
+        return Abort.NONE  # without effect on another bus
     if od.drive.operational:
         return Abort.DEVICE_STATE
     if row.subindex == 0:
@@ -93,7 +93,7 @@ MINIMUM_CYCLE = 0x05
 
 
 def _synchronisation(od: Dictionary, row: Object) -> int:
-    """What the bus has measured; 0 without one."""
+    """A measurement of the bus; 0 without one."""
     if row.subindex == MINIMUM_CYCLE:
         ethercat = od.drive.model.ethercat
         return 0 if ethercat is None else ethercat.cycle_ns

@@ -1,4 +1,4 @@
-"""The type of a hook: functions an object of the dictionary may have beside its bytes."""
+"""The type of a hook: functions that an object of the dictionary may have."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,14 +9,16 @@ from ..device import Device, Dictionary
 
 
 class Hook(NamedTuple):
-    """What an object does.
+    """The effects of reading and writing an object.
 
-    `write` as described in `hooks`; `read` gives the value a master sees, or an abort code, instead
-    of the stored one; `power_on` runs once when the parameters of a drive have been restored; `raw`
-    takes the bytes of a write, or None for a read, and gives bytes and abort code. `judges`: all
-    that `write` does is to say whether a value goes together with those of other objects, in
-    whatever order they were written; stored values have to pass it. What depends on the order (a
-    range in units that may change afterwards) is no such judge: what a drive took it gives back.
+    Attributes:
+        write: called with dictionary, row and value as described in `hooks`.
+        read: returns the value that a master reads instead of the stored one, or an abort code.
+        power_on: runs when the parameters of a drive have been restored.
+        raw: takes the bytes of a write, or None for a read; returns bytes and an abort code.
+        judges: `write` only checks whether a value is compatible with those of other objects,
+            independent of the order of writes, so stored values have to pass it as well. A check
+            that depends on the order, such as a range in units that may change, is none.
     """
 
     write: Callable[[Dictionary, Object, int], Abort] | None = None

@@ -1,4 +1,4 @@
-"""Objects of CiA 301 and CiA 402 that do something when they are written."""
+"""Hooks of objects of CiA 301 and CiA 402."""
 
 import math
 from fractions import Fraction
@@ -10,7 +10,7 @@ from ..abort import Abort
 from ..device import Dictionary
 from .hook import Hook
 
-# objects that make a position unit, and their fields: a drive need not have all of them
+# objects that define a position unit, and their fields; a drive may lack some
 FRACTION = {
     0x608F: "position_encoder_resolution", 0x6091: "gear_ratio", 0x6092: "feed_constant",
 }
@@ -75,7 +75,7 @@ def _load(od: Dictionary, row: Object, value: int) -> Abort:
 
 
 def _bytes(od: Dictionary, row: Object, data: bytes | None) -> tuple[bytes, Abort]:
-    """An object that is kept as bytes: strings of any length, numbers of a length of their own."""
+    """Read or write an object stored as bytes: a string, or a number of an unusual length."""
     address = row.index, row.subindex
     if data is None:
         return od.texts.get(address, row.initial), Abort.NONE
