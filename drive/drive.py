@@ -9,7 +9,7 @@
 
 import functools
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -65,7 +65,7 @@ class Drive:
     ):
         self.model = load(model, bus)
         self.operational = False  # whether the bus exchanges process data, set by node or slave
-        self.synchronisation: Any = None  # measurements of an EtherCAT slave, see hooks.ethercat
+        self.synchronisation: Callable[[], Mapping[int, int]] = dict  # on EtherCAT, see its slave
         self.communication_version = 0  # grows with each change of an object 1000h-1FFFh
         self.wanted_node_id: int | None = None  # to be adopted after the drive has reset itself
         if not 1 <= node_id <= 127:

@@ -8,6 +8,7 @@ error acknowledge and explicit device identification. Departures of a model are 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import ClassVar
 
 
 class AlState(IntEnum):
@@ -21,7 +22,7 @@ class AlState(IntEnum):
 
 
 class AlStatusCode(IntEnum):
-    """AL Status Code 0134h."""
+    """AL Status Code 0134h (ETG.1000.6, table 11)."""
 
     NO_ERROR = 0x0000
     UNSPECIFIED = 0x0001
@@ -74,7 +75,7 @@ class AlRules:
         return self.codes.get(code.name.lower(), int(code))
 
     def answer(self, state: AlState, request: int) -> tuple[AlState, int]:
-        """State and code after a request without an error pending, before anything is checked."""
+        """State and code after a request with no error pending, before the drive's own checks."""
         if request not in AlState.__members__.values():
             return state, self.code(AlStatusCode.UNKNOWN_STATE)
         wanted = AlState(request)
@@ -91,11 +92,13 @@ class AlMachine:
     """The state machine of one slave; nothing else writes its state.
 
     Args:
-        rules: departures of the model.
-        check: checks a transition to a higher state; returns an error code or none.
+        rules: the model's departures from the standard.
+        check: checks a transition to a higher state; returns an error code, or NO_ERROR.
         entered: called with the old and the new state after each transition.
-        identification: value of explicit device identification.
+        identification: returns the value of explicit device identification.
     """
+
+    KEPT: ClassVar = ("error", "_error_code", "_acknowledge", "_identify")  # in a snapshot
 
     def __init__(
         self, rules: AlRules, check: Callable[[AlState, AlState], AlStatusCode],
@@ -123,13 +126,13 @@ class AlMachine:
 
     @property
     def code(self) -> int:
-        """AL Status Code 0134h: the error, else the identification while it is asked for."""
+        """AL Status Code 0134h: the error, else the identification while it is requested."""
         if self.error:
             return self._error_code
         return self._identification() if self._identify else 0
 
     def control(self, value: int) -> None:
-        """AL Control 0120h: request a state, acknowledge an error, ask for the identification."""
+        """AL Control 0120h: request a state, acknowledge an error, request the identification."""
         request = value & REQUEST
         before, self._acknowledge = self._acknowledge, bool(value & ACKNOWLEDGE)
         acknowledged = self._acknowledge and not (before and self._rules.by_edge)
@@ -148,7 +151,7 @@ class AlMachine:
             self._enter(wanted)
 
     def fail(self, code: AlStatusCode | int, state: AlState) -> None:
-        """Enter a lower state with an error on behalf of the drive; with 0 for `state` it stays."""
+        """Show an error of the drive, and enter `state` if it is lower than the present one."""
         self._refuse(self._rules.code(code) if isinstance(code, AlStatusCode) else code)
         if state < self.state:
             self._enter(state)

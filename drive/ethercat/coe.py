@@ -7,6 +7,7 @@ abort by either side is a telegram of the service SDO request with the command 8
 
 import struct
 from collections.abc import Callable
+from typing import ClassVar
 
 from ..drive import Drive
 from ..objects.abort import Abort
@@ -39,25 +40,29 @@ class Sdo:
         complete_access: whether whole objects may be read and written at once.
     """
 
+    # in a snapshot
+    KEPT: ClassVar = ("_running", "_address", "_data", "_at", "_toggle", "_announced")
+
     def __init__(self, objects: ObjectDictionary, complete_access: bool):
         self._objects = objects
         self._complete_access = complete_access
-        self.size = 0  # bytes of the longest body of an answer
+        self._size = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget a transfer in progress."""
-        self._running: int | None = None  # specifier that goes on with it
+        self._running: int | None = None  # specifier of its next request
         self._address = (0, 0, False)  # index, sub-index, complete access
         self._data = b""
         self._at = 0
         self._toggle = 0
         self._announced = 0
 
-    def request(self, body: bytes) -> Answer:
-        """Process the body of an SDO request; -> the answers."""
+    def request(self, body: bytes, size: int) -> Answer:
+        """Answer the body of an SDO request; `size` is the longest body of an answer (bytes)."""
         if len(body) < SHORTEST:
             return MailboxError.SIZE_TOO_SHORT
+        self._size = size
         _, command, index, subindex = _SDO.unpack_from(body)
         specifier = command >> 5
         if specifier == ABORT:
@@ -110,7 +115,7 @@ class Sdo:
         if 1 <= len(data) <= 4:
             code = UPLOADED << 5 | flags | (4 - len(data)) << 2 | EXPEDITED | SIZE
             return self._answer(code, data.ljust(4, b"\0"))
-        room = self.size - SHORTEST
+        room = self._size - SHORTEST
         first = data[:room]
         if len(data) > room:
             self._running, self._data, self._at = UPLOAD_SEGMENT, data, room
@@ -120,7 +125,7 @@ class Sdo:
     def _upload_segment(self, command: int, body: bytes) -> Answer:
         if command & TOGGLE != self._toggle:
             return self._abort(Abort.TOGGLE_BIT)
-        part = self._data[self._at : self._at + self.size - SEGMENT_HEAD]
+        part = self._data[self._at : self._at + self._size - SEGMENT_HEAD]
         self._at += len(part)
         code = UPLOADED_SEGMENT << 5 | self._toggle
         if self._at >= len(self._data):
@@ -199,16 +204,6 @@ class Sdo:
             return complete_access.write(self._objects, index, subindex, data)
         return self._objects.write(index, subindex, data)
 
-    # ------------------------------------------------------------- snapshot
-
-    def state(self) -> tuple:
-        """All that `restore` needs."""
-        return (self._running, self._address, self._data, self._at, self._toggle, self._announced)
-
-    def restore(self, state: tuple) -> None:
-        """Become what `state` was."""
-        (self._running, self._address, self._data, self._at, self._toggle, self._announced) = state
-
 
 _HANDLERS: dict[int, Callable[[Sdo, int, bytes], Answer]] = {
     DOWNLOAD_SEGMENT: Sdo._download_segment,
@@ -222,29 +217,26 @@ class Coe:
     """The services of CoE that a model has; others are refused with a mailbox error."""
 
     def __init__(self, sdo: Sdo, info: SdoInfo | None):
-        self.sdo = sdo
-        self._info = info
+        self._services = {Service.SDO_REQUEST: sdo.request}
+        if info:
+            self._services[Service.SDO_INFORMATION] = info.request
 
-    def request(self, body: bytes) -> Answer:
-        """Process the body of a telegram of type CoE."""
+    def request(self, body: bytes, size: int) -> Answer:
+        """Answer the body of a telegram; `size` is the longest body of an answer (bytes)."""
         if len(body) < 2:
             return MailboxError.SIZE_TOO_SHORT
-        service = struct.unpack_from("<H", body)[0] >> 12
-        if service == Service.SDO_REQUEST:
-            return self.sdo.request(body)
-        if service == Service.SDO_INFORMATION and self._info is not None:
-            return self._info.request(body, self.sdo.size)
-        return MailboxError.SERVICE_NOT_SUPPORTED
+        service = self._services.get(struct.unpack_from("<H", body)[0] >> 12)
+        return service(body, size) if service else MailboxError.SERVICE_NOT_SUPPORTED
 
 
 class Emergencies:
     """Emergencies to be sent: one CoE emergency body for each entry of the drive's error history.
 
-    A body has code, error register and five manufacturer-specific bytes (ETG.1000.6, table 50).
-    When all errors that were sent have gone from the error register, a body with the code 0 is
-    sent.
+    A body has code, error register and five manufacturer-specific bytes (ETG.1000.6, table 50). A
+    body with the code 0 follows when a bit of the error register has been cleared.
     """
 
+    KEPT: ClassVar = ("_events_sent", "_register_sent")  # in a snapshot
     _BODY = struct.Struct("<HHB5x")
 
     def __init__(self, drive: Drive):
@@ -256,27 +248,16 @@ class Emergencies:
 
     def reset(self) -> None:
         """Regard all earlier errors as sent."""
-        self._seen = self._events.item(0)
-        self._told = self._register.item(0)
-
-    @property
-    def pending(self) -> bool:
-        """Whether an emergency has to be sent."""
-        return self._events.item(0) != self._seen or self._register.item(0) != self._told
+        self._events_sent = self._events.item(0)
+        self._register_sent = self._register.item(0)
 
     def bodies(self) -> list[bytes]:
         """Return the new emergency bodies, oldest first."""
         events, register = self._events.item(0), self._register.item(0)
-        codes = [code for code, _ in self._drive.errors_since(self._seen)]
-        if not codes and self._told & ~register:
+        if (events, register) == (self._events_sent, self._register_sent):
+            return []
+        codes = [code for code, _ in self._drive.errors_since(self._events_sent)]
+        if not codes and self._register_sent & ~register:
             codes = [0]
-        self._seen, self._told = events, register
+        self._events_sent, self._register_sent = events, register
         return [self._BODY.pack(Service.EMERGENCY << 12, code, register) for code in codes]
-
-    def state(self) -> tuple:
-        """All that `restore` needs."""
-        return self._seen, self._told
-
-    def restore(self, state: tuple) -> None:
-        """Become what `state` was."""
-        self._seen, self._told = state

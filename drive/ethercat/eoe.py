@@ -1,9 +1,9 @@
 """Ethernet over EtherCAT: the address is accepted and announced; there are no services behind it.
 
 Source: ETG.1000.6, 5.7. The first word of a telegram contains the type and the last-fragment bit.
-The second word of a frame contains fragment number, size and frame number, that of an answer the
-result. That a drive announces the address by ARP was observed; the frame is that of RFC 5227
-(inferred).
+The second word of a fragment contains fragment number, size and frame number; the second word of a
+response contains the result. A real drive was observed to announce its address by ARP; the frame
+follows RFC 5227 (inferred).
 """
 
 import struct
@@ -13,33 +13,27 @@ from .mailbox import Answer, MailboxError
 TYPE, LAST = 0x000F, 0x0100
 FRAME, SET_IP, SET_IP_RESPONSE = 0, 2, 3
 SUCCESS = 0x0000
-WITH_MAC, WITH_IP = 0x01, 0x02  # of the flags at the beginning of the parameters
+WITH_MAC, WITH_IP = 0x01, 0x02  # flags at the beginning of the parameters
 ARP = struct.Struct("!HHBBH6s4s6s4s")
 ETHERNET, IPV4, REQUEST, ARP_TYPE = 1, 0x0800, 1, 0x0806
 SHORTEST = 60  # bytes of an Ethernet frame without its check sequence
-BLOCK = 32  # bytes that the size in the header counts
+BLOCK = 32  # bytes: the unit of the size in the header
 
 
-class Eoe:
-    """Answers Set IP; `size` is how many bytes a telegram to the master takes."""
-
-    def __init__(self) -> None:
-        self.size = 0
-
-    def request(self, body: bytes) -> Answer:
-        """A telegram of the master."""
-        if int.from_bytes(body[:2], "little") & TYPE != SET_IP:
-            return MailboxError.SERVICE_NOT_SUPPORTED
-        answers = [struct.pack("<HH", SET_IP_RESPONSE, SUCCESS)]
-        announcement = announced(body[4:])
-        if announcement and 4 + len(announcement) <= self.size:
-            blocks = -(-len(announcement) // BLOCK)
-            answers.append(struct.pack("<HH", FRAME | LAST, blocks << 6) + announcement)
-        return answers
+def request(body: bytes, size: int) -> Answer:
+    """Answer Set IP; `size` is the longest body of an answer (bytes)."""
+    if int.from_bytes(body[:2], "little") & TYPE != SET_IP:
+        return MailboxError.SERVICE_NOT_SUPPORTED
+    answers = [struct.pack("<HH", SET_IP_RESPONSE, SUCCESS)]
+    announcement = announced(body[4:])
+    if announcement and 4 + len(announcement) <= size:
+        blocks = -(-len(announcement) // BLOCK)
+        answers.append(struct.pack("<HH", FRAME | LAST, blocks << 6) + announcement)
+    return answers
 
 
 def announced(parameters: bytes) -> bytes:
-    """The ARP frame for the address of Set IP; empty without a MAC or an IP address."""
+    """The ARP frame for the parameters of Set IP; empty without a MAC or an IP address."""
     flags = parameters[0] if parameters else 0
     if flags & (WITH_MAC | WITH_IP) != WITH_MAC | WITH_IP or len(parameters) < 14:
         return b""

@@ -1,4 +1,4 @@
-"""FoE: a file of the drive, read and written in packets (ETG.1000.6, 5.8; tables 62-69).
+"""FoE: reads and writes a file of the drive in packets (ETG.1000.6, 5.8; tables 62-69).
 
 A body consists of opcode, a reserved byte, four bytes (password, packet number or error code), and
 file name or data. A packet shorter than the mailbox is the last one.
@@ -7,12 +7,12 @@ file name or data. A packet shorter than the mailbox is the last one.
 import struct
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from .mailbox import Answer, MailboxError
 
 HEAD = struct.Struct("<BxI")
-LIMIT = 1 << 20  # bytes of a file that a master may write
+LIMIT = 1 << 20  # longest file that a master may write (bytes)
 
 
 class Opcode(IntEnum):
@@ -51,11 +51,13 @@ class File(NamedTuple):
 
 
 class Foe:
-    """The FoE server; `size` is the longest body of an answer."""
+    """The FoE server: one transfer at a time."""
+
+    KEPT: ClassVar = ("_name", "_writing", "_data", "_packet")  # in a snapshot
 
     def __init__(self, files: Mapping[str, File]):
         self._files = files
-        self.size = 0
+        self._size = 0
         self.reset()
 
     def reset(self) -> None:
@@ -63,12 +65,13 @@ class Foe:
         self._name = ""
         self._writing = False
         self._data = b""
-        self._packet = 0  # of the last data
+        self._packet = 0  # number of the last data packet
 
-    def request(self, body: bytes) -> Answer:
-        """Answer the body of a telegram of type FoE."""
+    def request(self, body: bytes, size: int) -> Answer:
+        """Answer the body of a telegram; `size` is the longest body of an answer (bytes)."""
         if len(body) < HEAD.size:
             return MailboxError.SIZE_TOO_SHORT
+        self._size = size
         opcode, number = HEAD.unpack_from(body)
         rest = body[HEAD.size :]
         if opcode in (Opcode.READ, Opcode.WRITE):
@@ -84,7 +87,7 @@ class Foe:
 
     def _error(self, code: FoeError, text: str) -> Answer:
         self.reset()
-        return ((HEAD.pack(Opcode.ERROR, code) + text.encode())[: self.size],)
+        return ((HEAD.pack(Opcode.ERROR, code) + text.encode())[: self._size],)
 
     def _open(self, writing: bool, name: bytes) -> Answer:
         self.reset()
@@ -102,7 +105,7 @@ class Foe:
 
     def _send(self) -> Answer:
         self._packet += 1
-        room = self.size - HEAD.size
+        room = self._size - HEAD.size
         at = (self._packet - 1) * room
         return (HEAD.pack(Opcode.DATA, self._packet) + self._data[at : at + room],)
 
@@ -111,7 +114,7 @@ class Foe:
             return self._error(FoeError.ILLEGAL, "no file is being read")
         if number != self._packet:
             return self._error(FoeError.PACKET_NUMBER, f"{self._packet} was sent")
-        if self._packet * (self.size - HEAD.size) > len(self._data):
+        if self._packet * (self._size - HEAD.size) > len(self._data):
             self.reset()  # the last one was short
             return ()
         return self._send()
@@ -127,19 +130,9 @@ class Foe:
         self._data += data
         if len(self._data) > LIMIT:
             return self._error(FoeError.DISK_FULL, f"longer than {LIMIT} bytes")
-        if len(data) < self.size - HEAD.size:  # the last one
+        if len(data) < self._size - HEAD.size:  # the last one
             refused = self._files[self._name].write(self._data)
             if refused:
                 return self._error(FoeError.ILLEGAL, refused)
             self.reset()
         return (HEAD.pack(Opcode.ACKNOWLEDGE, number),)
-
-    # -------------------------------------------------------------- snapshot
-
-    def state(self) -> tuple:
-        """All that `restore` needs."""
-        return self._name, self._writing, self._data, self._packet
-
-    def restore(self, state: tuple) -> None:
-        """Become what `state` was."""
-        self._name, self._writing, self._data, self._packet = state

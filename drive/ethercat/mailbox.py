@@ -1,19 +1,19 @@
 """Mailbox: telegrams in sync managers 0 and 1 as whole buffers (ETG.1000.4, 5.6; ETG.1000.6, 5.6).
 
 A header of six bytes precedes each body: length of the body, address, channel and priority, type
-and counter. A telegram without a service is answered with a mailbox error; none is left unanswered.
+and counter. Every telegram is answered; one without a service gets a mailbox error.
 """
 
 import struct
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
+from typing import ClassVar
 
 HEADER = struct.Struct("<HHBB")
 ERROR_BODY = struct.Struct("<HH")
 ERROR_COMMAND = 1  # first word of an error body
-QUEUE = 8  # telegrams that wait for the master; then no new one is taken
-COUNTERS = 7  # 1..7; 0 is a telegram without a counter
+QUEUE = 8  # telegrams waiting for the master, at which no further request is accepted
+COUNTERS = 7  # 1..7; 0 marks a telegram without a counter
 
 
 class Kind(IntEnum):
@@ -43,30 +43,34 @@ class MailboxError(IntEnum):
 
 
 Answer = Iterable[bytes] | MailboxError
-Service = Callable[[bytes], Answer]
+Service = Callable[[bytes, int], Answer]  # body, longest body of an answer (bytes)
 
 
 def pack(kind: int, body: bytes, counter: int = 0, address: int = 0, channel: int = 0) -> bytes:
-    """A telegram."""
+    """Pack a telegram."""
     return HEADER.pack(len(body), address, channel, kind | counter << 4) + body
 
 
 class Mailbox:
     """Receives telegrams and sends answers in order.
 
-    `services` take the body of a request and return the bodies of the answer, or an error.
+    `services` take the body of a request and the longest body of an answer (`size`, bytes), and
+    return the bodies of the answers, or an error.
     """
+
+    KEPT: ClassVar = ("size", "_waiting", "_counter", "_request", "_sent")  # in a snapshot
 
     def __init__(self, services: Mapping[int, Service]):
         self.services = services
+        self.size = 0
         self.reset()
 
     def reset(self) -> None:
         """Empty the mailbox, as after INIT."""
-        self._waiting: deque[tuple[int, bytes, int, int]] = deque()
+        self._waiting: list[tuple[int, bytes, int, int]] = []
         self._counter = 0  # of the last telegram sent
         self._request = b""  # the last one with a counter, until its answer has been fetched
-        self._sent = b""
+        self._sent = b""  # the last telegram sent
 
     @property
     def ready(self) -> bool:
@@ -76,7 +80,7 @@ class Mailbox:
     def receive(self, buffer: bytes) -> None:
         """Process a buffer of sync manager 0.
 
-        If a telegram with the same counter is repeated before the answer was fetched, it comes from
+        A telegram with the same counter that is repeated before the answer was fetched comes from
         the master's link layer and is not served twice.
         """
         if len(buffer) < HEADER.size:
@@ -93,7 +97,7 @@ class Mailbox:
         elif not body:
             answer = MailboxError.SIZE_TOO_SHORT
         elif service := self.services.get(kind & 0x0F):
-            answer = service(body)
+            answer = service(body, self.size)
         else:
             answer = MailboxError.UNSUPPORTED_PROTOCOL
         if isinstance(answer, MailboxError):
@@ -111,7 +115,7 @@ class Mailbox:
         self._waiting.append((int(kind), body, 0, 0))
 
     def next(self) -> bytes:
-        """The next telegram for sync manager 1; empty if there is none; see `sent`."""
+        """The next telegram for sync manager 1, empty if there is none; `sent` removes it."""
         if not self._waiting:
             return b""
         kind, body, address, channel = self._waiting[0]
@@ -120,7 +124,7 @@ class Mailbox:
     def sent(self) -> None:
         """Note that the telegram of `next` is in the buffer of sync manager 1."""
         self._sent = self.next()
-        self._waiting.popleft()
+        self._waiting.pop(0)
         self._counter = self._counter % COUNTERS + 1
 
     def fetched(self) -> None:
@@ -131,14 +135,3 @@ class Mailbox:
     def again(self) -> bytes:
         """The last telegram, for a repeat request (080Eh bit 1); empty if there was none."""
         return self._sent
-
-    # ---------------------------------------------------------------- snapshot
-
-    def state(self) -> tuple:
-        """All that `restore` needs."""
-        return [*self._waiting], self._counter, self._request, self._sent
-
-    def restore(self, state: tuple) -> None:
-        """Become what `state` was."""
-        waiting, self._counter, self._request, self._sent = state
-        self._waiting = deque(waiting)

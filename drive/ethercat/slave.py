@@ -1,24 +1,24 @@
 """The services of one drive behind a slave controller: AL states, mailbox, PDO assignment.
 
-Here is what a slave does now and then; process data and clocks are the controller's. It is told of
-events and answers at once, through the process data interface of its controller.
+The controller exchanges process data and keeps the clocks. It reports events to the services, which
+answer at once through its process data interface.
 """
 
 import ast
+from collections.abc import Mapping
 from typing import Any
 
 from ..drive import Drive
 from ..model.given import whole
 from ..model.model import load
 from ..objects.snapshot import seal, unseal
-from . import sii
+from . import eoe, sii
 from .al import WITH_INPUTS, WITH_MAILBOX, AlMachine, AlRules, AlState, AlStatusCode
 from .coe import Coe, Emergencies, Sdo
 from .controller.pdi import IN, OUT, Pdi
 from .controller.process_image import INPUTS, OUTPUTS, ProcessImage
 from .controller.record import Event, SyncMode
 from .controller.registers import R
-from .eoe import Eoe
 from .foe import File, Foe
 from .mailbox import HEADER, Answer, Kind, Mailbox, MailboxError, Service
 from .sdo_info import SdoInfo
@@ -26,63 +26,15 @@ from .sdo_info import SdoInfo
 PARAMETERS = "parameters"  # name of the parameter file in FoE
 DIRECTION = 0x0C  # bits of the control byte of a sync manager
 WRITTEN_BY_MASTER = 0x04
-SYNC_ACTIVATION = 0x0981
 SYNC_ACTIVE = 0x03  # 0981h: cyclic operation and SYNC0
 SYNC_UNIT = 0x07  # bits of 0981h that the operation modes name
 ERROR_LIMIT = (0x10F1, 2)  # sync error counter limit
 COPY_TIME = (0x1C32, 6)  # calculation and copy time (ns)
 
 
-class Synchronisation:
-    """What 1C32h and 1C33h show of a slave."""
-
-    def __init__(self, pdi: Pdi, image: ProcessImage, drive: Drive):
-        self._pdi = pdi
-        self._image = image
-        self._drive = drive
-        self.shift_ns = 0
-
-    @property
-    def sync_type(self) -> int:
-        """0 free run, 1 with SM 2, 2 with SYNC0."""
-        return int(self._image.sync_mode)
-
-    @property
-    def sync0_ns(self) -> int:
-        """Period of SYNC0."""
-        return self._pdi.get(R.SYNC0_CYCLE, 4)
-
-    @property
-    def cycle_ns(self) -> int:
-        """Period in which outputs are taken over: of SYNC0, else the one that 60C2h announces."""
-        if self.sync_type == SyncMode.SYNC0:
-            return self.sync0_ns
-        return interpolation_ns(self._drive)
-
-    @property
-    def events_missed(self) -> int:
-        """Edges without new outputs."""
-        return min(self._image.sync_errors, 0xFFFF)
-
-    @property
-    def cycle_exceeded(self) -> int:
-        """Outputs that came before the cycle of those before was over."""
-        return self._image.cycle_exceeded
-
-    @property
-    def shift_too_short(self) -> int:
-        """Edges for which outputs had come too late to be copied."""
-        return self._image.shift_short
-
-    @property
-    def sync_error(self) -> bool:
-        """Whether the last edge of SYNC0 had no new outputs."""
-        return self._image.late
-
-
 def interpolation_ns(drive: Drive) -> int:
     """The period 60C2h (ns)."""
-    od, n = drive.axes["od"], drive.index  # of all axes: a record of one is slow to make
+    od, n = drive.axes["od"], drive.index  # the array of all axes, because making a record is slow
     units, index = od["interpolation_time_units"][n], od["interpolation_time_index"][n]
     return round(int(units) * 10.0 ** (9 + int(index)))
 
@@ -92,14 +44,14 @@ class Slave:
 
     Args:
         drive: the drive, made for this bus: ``Drive(model, bus="ethercat")``.
-        alias: station alias in the EEPROM; without one that which a master has written before.
+        alias: station alias in the EEPROM; by default the one that a master wrote last.
 
     Raises:
-        ValueError: the drive is on another bus, its SII does not fit, the alias is not an alias.
+        ValueError: the drive is on another bus, its SII does not fit, or the alias is out of range.
     """
 
     def __init__(self, drive: Drive, *, alias: int | None = None):
-        load(drive.model, "ethercat")  # refuses a model that has no such face
+        load(drive.model, "ethercat")  # refuses a model without EtherCAT
         if drive.model.ethercat is None:
             raise ValueError(
                 f"drive {drive.model.name!r} is on {drive.model.bus}: "
@@ -118,19 +70,15 @@ class Slave:
         self.al = AlMachine(rules, self._check, self._entered, lambda: self._identification)
         self._identification = alias
         self._sdo = Sdo(drive.objects, data.complete_access)
-        self._foe = Foe({PARAMETERS: File(self._parameters, self._take_parameters)})
-        self._eoe = Eoe()
-        self._coe = Coe(self._sdo, SdoInfo(drive.model) if data.information else None)
+        self._foe = Foe({PARAMETERS: File(drive.parameters.export, drive.parameters.take)})
+        coe = Coe(self._sdo, SdoInfo(drive.model) if data.information else None)
+        services = {"CoE": coe.request, "FoE": self._foe.request, "EoE": eoe.request}
         self._offered: dict[int, Service] = {
-            Kind[name.upper()]: {
-                "CoE": self._coe.request,
-                "FoE": self._foe.request,
-                "EoE": self._eoe.request,
-            }.get(name, _refuse)
-            for name in data.protocols
+            Kind[name.upper()]: services.get(name, _refuse) for name in data.protocols
         }
         self.mailbox = Mailbox(self._offered)
         self.emergencies = Emergencies(drive)
+        self._parts = (self.al, self.mailbox, self._sdo, self._foe, self.emergencies)
         self._pdi: Pdi
         self._image: ProcessImage
         self._on = False
@@ -138,12 +86,26 @@ class Slave:
     # ------------------------------------------------------------------ power
 
     def attach(self, pdi: Pdi, image: ProcessImage) -> None:
-        """Take over the controller."""
+        """Connect the services to their controller."""
         self._pdi, self._image = pdi, image
-        self.drive.synchronisation = Synchronisation(pdi, image, self.drive)
+        self.drive.synchronisation = self._synchronisation
+
+    def _synchronisation(self) -> Mapping[int, int]:
+        """Values of 1C32h and 1C33h by sub-index (ETG.1020); those missing are 0."""
+        esc, sync0_ns = self._image.esc, self._pdi.get(R.SYNC0_CYCLE, 4)
+        with_sync0 = esc.sync_mode == SyncMode.SYNC0
+        return {
+            0x01: esc.sync_mode,
+            0x02: sync0_ns if with_sync0 else interpolation_ns(self.drive),
+            0x0A: sync0_ns,
+            0x0B: esc.sync_errors,
+            0x0C: esc.cycle_exceeded,
+            0x0D: esc.shift_short,
+            0x20: esc.outputs_late > 0,
+        }
 
     def power_on(self) -> None:
-        """Begin in INIT; the drive is reset as well, unless it has been made for this moment."""
+        """Begin in INIT; every power-on but the first one resets the drive as well."""
         if self._on:
             self.drive.reset()
         self._on = True
@@ -161,9 +123,9 @@ class Slave:
         return self.al.state
 
     def fail(self, code: AlStatusCode | int, state: AlState = AlState.SAFE_OPERATIONAL) -> None:
-        """Retreat to `state` with a status code; without a retreat the error only shows.
+        """Show an AL status code, and retreat to `state` if it is lower than the present one.
 
-        Raises ValueError for a code that 0134h cannot show, a state there is not.
+        Raises ValueError for a code of more than 16 bits, or an unknown state.
         """
         whole("code", code, 0, 0xFFFF)
         self.al.fail(code, min(AlState(state), self.al.state))
@@ -172,7 +134,7 @@ class Slave:
     # ----------------------------------------------------------------- events
 
     def serve(self, events: int, now: int) -> None:
-        """Answer what has happened (bits of `Event`) at `now` (ns)."""
+        """Process events (bits of `Event`) at `now` (ns)."""
         if events & Event.EEPROM:
             self._keep_alias()
         if events & Event.AL_CONTROL:
@@ -194,7 +156,7 @@ class Slave:
             return
         if events & Event.REPEAT and self._pdi.repeat:
             self._pdi.mailbox_repeat(self.mailbox.again())
-        if self.emergencies.pending and self.mailbox.ready:
+        if self.mailbox.ready:
             for body in self.emergencies.bodies():
                 if Kind.COE in self.mailbox.services:
                     self.mailbox.post(Kind.COE, body)
@@ -213,7 +175,7 @@ class Slave:
     # -------------------------------------------------------------- AL states
 
     def _check(self, before: AlState, after: AlState) -> AlStatusCode:
-        """What a step upwards needs of the sync managers and of the SYNC unit."""
+        """Check sync managers and SYNC unit before a transition to a higher state."""
         if before == AlState.INIT:
             boot = after == AlState.BOOTSTRAP
             wanted = self.data.bootstrap if boot else self.data.mailbox
@@ -226,7 +188,7 @@ class Slave:
             if not self._is_buffer(INPUTS, self.data.start[1], self.drive.tpdo_size):
                 return AlStatusCode.INVALID_INPUTS
             return self._check_clock()
-        if self._image.sync_mode == SyncMode.SYNC0 and not self._sync0_on:
+        if self._image.esc.sync_mode == SyncMode.SYNC0 and not self._sync0_on:
             return AlStatusCode.NO_SYNC_ERROR
         return AlStatusCode.NO_ERROR
 
@@ -244,8 +206,8 @@ class Slave:
         return manager.enabled and fits and by_master == (number == OUTPUTS)
 
     def _check_clock(self) -> AlStatusCode:
-        """Whether the model can follow the SYNC unit as the master has set it."""
-        active = self._pdi.get(SYNC_ACTIVATION, 1) & SYNC_UNIT
+        """Check whether the model can follow the SYNC unit as the master has set it."""
+        active = self._pdi.get(R.ACTIVATION, 1) & SYNC_UNIT
         if not active & 1:
             return AlStatusCode.NO_ERROR
         if active not in {mode.assign_activate >> 8 & SYNC_UNIT for mode in self.data.modes}:
@@ -259,15 +221,15 @@ class Slave:
 
     @property
     def _sync0_on(self) -> bool:
-        return self._pdi.get(SYNC_ACTIVATION, 1) & SYNC_ACTIVE == SYNC_ACTIVE
+        return self._pdi.get(R.ACTIVATION, 1) & SYNC_ACTIVE == SYNC_ACTIVE
 
     def _check_running_clock(self) -> None:
-        """Retreat where a master changes the SYNC unit under a drive that runs with it (inferred).
+        """Retreat if a master changes the SYNC unit of a drive that runs with SYNC0 (inferred).
 
-        Without SYNC0 to SAFE_OP (ETG.1020, no sync error); to PRE_OP, where its clock is set, where
-        the drive cannot follow.
+        If SYNC0 is off, the drive retreats to SAFE_OP (ETG.1020, no sync error). If it cannot
+        follow the new settings, it retreats to PRE_OP, where a master sets them.
         """
-        if self._image.sync_mode != SyncMode.SYNC0:
+        if self._image.esc.sync_mode != SyncMode.SYNC0:
             return
         if not self._sync0_on:
             if self.state == AlState.OPERATIONAL:
@@ -276,35 +238,36 @@ class Slave:
             self.fail(code, AlState.PRE_OPERATIONAL)
 
     def _entered(self, before: AlState, after: AlState) -> None:
-        """Switch on and off what goes with a state."""
+        """Switch services and process data on or off after a transition."""
         self.drive.operational = after in WITH_INPUTS
         if before == AlState.INIT:
             self._begin_mailbox(after)
         elif after == AlState.INIT:
             self._quiet()
         if before == AlState.PRE_OPERATIONAL and after == AlState.SAFE_OPERATIONAL:
-            self._image.sync_mode = SyncMode.SYNC0 if self._sync0_on else SyncMode.SM_EVENT
+            esc, value = self._image.esc, self.drive.objects.value
+            esc.sync_mode = SyncMode.SYNC0 if self._sync0_on else SyncMode.SM_EVENT
             own = self.data.error_settings
-            limit = self.drive.objects.value(*ERROR_LIMIT) if own else self.data.late_limit
-            self._image.late_limit = limit
-            self._image.times(self.data.cycle_ns, self.drive.objects.value(*COPY_TIME))
+            esc.late_limit = value(*ERROR_LIMIT) if own else self.data.late_limit
+            esc.cycle_ns, esc.copy_ns = self.data.cycle_ns, value(*COPY_TIME)
         if (before in WITH_INPUTS) != (after in WITH_INPUTS):
             self._image.inputs(after in WITH_INPUTS)
         if AlState.OPERATIONAL in (before, after):
             self._image.outputs(after == AlState.OPERATIONAL)
-            # 6007h is for a drive that loses its master while it moves
+            # 6007h concerns a drive that loses its master while it is energised
             lost = after != AlState.OPERATIONAL and self.drive.energised
             self.drive.axis.connection_lost = lost
 
     def _begin_mailbox(self, state: AlState) -> None:
-        """Mailboxes of INIT to PRE_OP or BOOTSTRAP, where there is only FoE."""
+        """Open the mailbox for the services of a state."""
         self._quiet()
-        only = (Kind.FOE,) if state == AlState.BOOTSTRAP else tuple(self._offered)
-        self.mailbox.services = {
-            kind: self._offered[kind] for kind in only if kind in self._offered
-        }
-        size = self._pdi.sync_manager(IN).length - HEADER.size
-        self._sdo.size = self._foe.size = self._eoe.size = size
+        self.mailbox.services = self._services(state)
+        self.mailbox.size = self._pdi.sync_manager(IN).length - HEADER.size
+
+    def _services(self, state: AlState) -> dict[int, Service]:
+        """The services of a state; in BOOTSTRAP there is only FoE."""
+        boot = state == AlState.BOOTSTRAP
+        return {k: take for k, take in self._offered.items() if k == Kind.FOE or not boot}
 
     def _quiet(self) -> None:
         self.mailbox.reset()
@@ -316,28 +279,17 @@ class Slave:
     # ------------------------------------------------------- what is kept
 
     def _keep_alias(self) -> None:
-        """A station alias that a master has written lasts, if its checksum holds."""
+        """Store the station alias that a master has written, if the checksum is right."""
         alias = sii.alias_of(self._pdi.sii)
         if alias is not None and alias != self.drive.parameters.alias:
             self.drive.parameters.keep_alias(alias)
 
-    def _parameters(self) -> bytes:
-        return self.drive.parameters.export()
-
-    def _take_parameters(self, content: bytes) -> str:
-        return self.drive.parameters.take(content)
-
     # ------------------------------------------------------------- snapshot
 
     def snapshot(self) -> bytes:
-        """AL state, telegrams that wait, transfers in progress; `restore` goes on with them."""
-        al = self.al
-        state: Any = (
-            int(al.state), al.error, al._error_code, al._acknowledge, al._identify,
-            self.mailbox.state(), tuple(map(int, self.mailbox.services)), self._sdo.state(),
-            self._sdo.size, self._foe.state(), self.emergencies.state(), self._identification,
-            self.drive.operational,
-        )
+        """Return AL state, waiting telegrams and transfers in progress, for `restore`."""
+        parts = [[getattr(part, name) for name in part.KEPT] for part in self._parts]
+        state = int(self.state), parts, self._identification, self.drive.operational
         return seal(self._kind, {}, [repr(state).encode()])
 
     @property
@@ -345,26 +297,20 @@ class Slave:
         return {"kind": "slave", "model": self.drive.model.name}
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was.
+        """Continue from a snapshot.
 
         Raises:
-            ValueError: it is none, damaged, or of another model; nothing is changed.
+            ValueError: not a snapshot, damaged, or of another model; nothing is changed.
         """
         _, (state,) = unseal(snapshot, self._kind, {}, [None])
-        (
-            al_state, self.al.error, self.al._error_code, self.al._acknowledge,
-            self.al._identify, mailbox, services, sdo, size, foe, emergencies,
-            self._identification, self.drive.operational,
-        ) = ast.literal_eval(state.decode())
-        self.al.state = AlState(al_state)
-        self.mailbox.restore(mailbox)
-        self.mailbox.services = {Kind(kind): self._offered[Kind(kind)] for kind in services}
-        self._sdo.restore(sdo)
-        self._sdo.size = self._foe.size = self._eoe.size = size
-        self._foe.restore(foe)
-        self.emergencies.restore(emergencies)
+        al, parts, self._identification, self.drive.operational = ast.literal_eval(state.decode())
+        self.al.state = AlState(al)
+        for part, values in zip(self._parts, parts, strict=True):
+            for name, value in zip(part.KEPT, values, strict=True):
+                setattr(part, name, value)
+        self.mailbox.services = self._services(self.al.state)
 
 
 def _refuse(body: bytes) -> Answer:
-    """A protocol that the device names and that leads nowhere here."""
+    """Refuse a protocol that the device announces but that is not implemented."""
     return MailboxError.SERVICE_NOT_SUPPORTED

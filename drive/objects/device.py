@@ -4,7 +4,7 @@
 the protocols, so they can be written and tested without the classes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -54,7 +54,7 @@ class Device(Protocol):
     index: int
     node_id: int
     operational: bool
-    synchronisation: Any  # measurements of EtherCAT with the names of hooks.ethercat, or None
+    synchronisation: Callable[[], Mapping[int, int]]  # values of 1C32h and 1C33h by sub-index
     communication_version: int
     wanted_node_id: int | None
     rpdos: np.ndarray

@@ -1,12 +1,13 @@
 """The mailbox alone, bytes in and bytes out: ETG.1000.4, 5.6."""
 
+import copy
 import random
 
 import pytest
 
 from servogym.drive.ethercat.mailbox import QUEUE, Kind, Mailbox, MailboxError, pack
 
-ECHO = {Kind.COE: lambda body: (body,)}
+ECHO = {Kind.COE: lambda body, size: (body,)}
 
 
 @pytest.fixture
@@ -65,7 +66,7 @@ def test_30_what_nobody_can_serve_gets_a_mailbox_error(mailbox, buffer, detail):
 
 
 def test_an_error_of_a_service_becomes_a_mailbox_error():
-    mailbox = Mailbox({Kind.COE: lambda body: MailboxError.SERVICE_NOT_SUPPORTED})
+    mailbox = Mailbox({Kind.COE: lambda body, size: MailboxError.SERVICE_NOT_SUPPORTED})
     mailbox.receive(pack(Kind.COE, bytes(2)))
     assert taken(mailbox)[6:] == hexed("0100 0400")
 
@@ -117,7 +118,8 @@ def test_a_mailbox_goes_on_where_its_state_was_taken(mailbox):
         mailbox.receive(pack(Kind.COE, bytes([n]), n + 1))
     taken(mailbox)
     other = Mailbox(dict(ECHO))
-    other.restore(mailbox.state())
+    for name in Mailbox.KEPT:
+        setattr(other, name, copy.deepcopy(getattr(mailbox, name)))
     assert other.again() == mailbox.again()
     assert [taken(other) for _ in range(2)] == [taken(mailbox) for _ in range(2)]
 

@@ -179,12 +179,12 @@ def test_37_a_late_frame_leaves_the_old_set_point_and_is_counted():
         slave.outputs[:] = outputs(100 + k, 0)
         master.cycle()
     bus.advance(edge + 2 * MS + 1)
-    missed = image.sync_errors
+    missed = int(image.esc.sync_errors)
     wire.now = edge + 3 * MS + 100_000  # 100 µs late
     slave.outputs[:] = outputs(999, 0)
     master.cycle()
     assert drive.read("target_position") == 102
-    assert image.sync_errors == missed + 1
+    assert image.esc.sync_errors == missed + 1
     assert slave.upload(0x1C32, 0x0B) == missed + 1
     bus.advance(edge + 4 * MS)
     assert drive.read("target_position") == 999

@@ -78,26 +78,15 @@ def _assignment(od: Dictionary, row: Object, value: int) -> Abort:
     return Abort.NONE if value == 0 or value in known else Abort.INVALID_VALUE
 
 
-# sub-index of 1C32h and 1C33h -> attribute of `Device.synchronisation`
-SYNCHRONISATION = {
-    0x01: "sync_type",
-    0x02: "cycle_ns",
-    0x03: "shift_ns",
-    0x0A: "sync0_ns",
-    0x0B: "events_missed",
-    0x0C: "cycle_exceeded",
-    0x0D: "shift_too_short",
-    0x20: "sync_error",
-}
-MINIMUM_CYCLE = 0x05
+MINIMUM_CYCLE = 0x05  # of 1C32h and 1C33h
 
 
 def _synchronisation(od: Dictionary, row: Object) -> int:
-    """A measurement of the bus; 0 without one."""
+    """Read an entry of 1C32h or 1C33h; 0 if the drive is not on EtherCAT."""
     if row.subindex == MINIMUM_CYCLE:
         ethercat = od.drive.model.ethercat
         return 0 if ethercat is None else ethercat.cycle_ns
-    return int(getattr(od.drive.synchronisation, SYNCHRONISATION[row.subindex], 0))
+    return int(od.drive.synchronisation().get(row.subindex, 0))
 
 
 HOOKS = {
