@@ -2,7 +2,7 @@
 
 A `Link` is what one member sees of the bus: it sends frames and receives those of the others.
 `Loopback` is a bus within the process, with or without transmission times; `Faulty` injects faults
-into any link. Links to python-can and to log files: `servogym.drive.wire.can_link`.
+into any link. Links to python-can and to log files: `servogym.drive.wire.bus`.
 """
 
 from collections import deque

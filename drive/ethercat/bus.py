@@ -1,10 +1,10 @@
 """A segment with the machines that its drives move, and the time of both, for three clocks.
 
 ``frame``: each frame of process data advances time by one period, the SYNC0 cycle of a synchronised
-drive or 60C2h of any other, so runs are bit-identical and as fast as possible. ``dc``: time is
-given by the caller, and machines of synchronised drives run for one SYNC0 cycle at each edge of
-SYNC0. ``real``: time is given by the caller, and machines follow it by at most one period between
-two frames; periods that they miss are counted.
+drive or 60C2h of any other, so runs are bit-identical and as fast as possible. ``dc``: the caller
+gives the time, and machines of synchronised drives run for one SYNC0 cycle at each edge of SYNC0.
+``real``: the caller gives the time, and machines follow it by at most one period between two
+frames; periods that they miss are counted.
 
 `receive` answers a frame, and `advance` runs the machines afterwards, because a master does not
 wait for physics. Times are in ns; this module reads no clock.
@@ -24,7 +24,7 @@ from .controller.registers import R
 from .segment import LATEST, Segment
 from .slave import interpolation_ns
 
-IDLE_MOST = 50_000_000  # ns of physics at a time, where no process data are exchanged
+IDLE_MOST = 50_000_000  # longest step of physics without process data (ns)
 
 
 class Clock(StrEnum):
@@ -41,9 +41,8 @@ class Statistics:
 
     frames: int = 0  # received
     answered: int = 0
-    cycles: int = 0  # of process data, of the slave that had most
+    cycles: int = 0  # exchanges of process data
     missed: int = 0  # times a machine could not follow the clock
-    working_counter: int = 0  # of the last process-data frame
 
 
 class _Plant:
@@ -54,17 +53,17 @@ class _Plant:
         self.slaves = slaves
         self.drive = next(iter(machine.drives.values()))
         self.cycle = round(machine.cycle_time * 1e9)  # ns
-        self.time = 0  # ns, how far frames or the clock have carried it
-        self.due = set(slaves)  # whose process data the running bus cycle still waits for
+        self.time = 0  # ns, up to which frames or the clock have advanced it
+        self.due = set(slaves)  # slaves whose process data the bus cycle still waits for
         self.edges = 0  # of SYNC0 so far
 
     @property
     def period(self) -> int:
-        """60C2h (ns), in whole cycles of the machine."""
+        """60C2h, rounded down to whole cycles of the machine (ns)."""
         return max(interpolation_ns(self.drive) // self.cycle, 1) * self.cycle
 
     def run(self, span: int) -> bool:
-        """Run the whole cycles in `span` ns; -> whether there was one."""
+        """Run the whole cycles in `span` ns; -> whether there was at least one."""
         cycles = span // self.cycle
         if cycles > 0:
             self.machine.step(cycles)
@@ -89,7 +88,7 @@ class Bus:
         self.clock = Clock(clock)
         self.time = 0  # ns
         self.statistics = Statistics()
-        self.extra: deque[bytes] = deque()  # frames that come back beside replies; see `faulty`
+        self.extra: deque[bytes] = deque()  # frames besides the replies; see `faulty`
         self._plants = []
         self._plant_of: dict[int, _Plant] = {}
         place = {id(s.drive): i for i, s in enumerate(segment.stations)}
@@ -102,7 +101,7 @@ class Bus:
     # ----------------------------------------------------------------- frames
 
     def receive(self, length: int, now: int, port: int = 0) -> bool:
-        """Let the frame in ``segment.frame[:length]`` pass; -> whether it comes back.
+        """Let the frame in ``segment.frame[:length]`` pass; -> whether it returns.
 
         The clock ``frame`` ignores `now` (ns).
         """
@@ -135,7 +134,7 @@ class Bus:
     # ------------------------------------------------------------------- time
 
     def advance(self, now: int) -> None:
-        """Let the machines run as far as the clock says, after a frame or after idle time."""
+        """Let the machines catch up with the clock, after a frame or after idle time."""
         touched = self.segment.touched()
         if touched:
             self.statistics.cycles += 1
@@ -145,7 +144,7 @@ class Bus:
             self._follow(now, bool(touched))
 
     def notes(self) -> list[str]:
-        """Hints for a master that has just set the SYNC unit of a slave."""
+        """Return hints for a master that has just set the SYNC unit of a slave."""
         lines = []
         for slave in self.segment.take_clocked():
             record = self.segment.escs[slave]
@@ -154,14 +153,14 @@ class Bus:
             cycle = self.segment.pdis[slave].get(R.SYNC0_CYCLE, 4) / 1e6
             if record["inputs_on"] and not self.segment.synchronised(slave):
                 lines.append(
-                    f"slave {slave}: SYNC0 of {cycle:g} ms came behind SAFE_OP, so the drive goes "
-                    "on with its frames: set it in PRE_OP, then request SAFE_OP"
+                    f"slave {slave}: SYNC0 of {cycle:g} ms was set after SAFE_OP, so the drive "
+                    "still follows its frames: set it in PRE_OP, then request SAFE_OP"
                 )
             elif self.clock == Clock.FRAME:
                 lines.append(
-                    f"slave {slave}: SYNC0 of {cycle:g} ms, with the clock frame each frame of "
-                    "process data lets one pass; a master that steers by the DC time needs "
-                    "--clock dc"
+                    f"slave {slave}: SYNC0 of {cycle:g} ms: with --clock frame, each frame of "
+                    "process data advances time by one such cycle; a master that aligns its cycle "
+                    "with the DC time needs --clock dc"
                 )
         return lines
 
@@ -185,12 +184,12 @@ class Bus:
                 plant.due = {s for s in plant.slaves if self.segment.escs["inputs_on"][s]}
                 synchronised = self._synchronised(plant)
                 span = self._sync0(plant) if synchronised else plant.period
-                plant.time = max(plant.time, self.time - span) + span  # one that stood goes on here
+                plant.time = max(plant.time, self.time - span) + span  # idle ones go on here
                 until = max(until, plant.time)
-                if not synchronised:  # else it runs at the edges up to there
+                if not synchronised:  # a synchronised plant runs at the edges instead
                     ran |= plant.run(span)
         for slave in self.segment.take_requests():
-            plant = self._plant_of.get(slave)  # an SDO takes a cycle, where nothing else does
+            plant = self._plant_of.get(slave)  # without process data, an SDO lets a cycle pass
             if plant and not any(self.segment.escs["inputs_on"][s] for s in plant.slaves):
                 ran |= plant.run(plant.cycle)
         if until > self.time:
@@ -203,11 +202,11 @@ class Bus:
         return self.segment.synchronised(plant.slaves[0])
 
     def _sync0(self, plant: _Plant) -> int:
-        """SYNC0 cycle of its first slave (ns)."""
+        """SYNC0 cycle of the plant's first slave (ns)."""
         return self.segment.pdis[plant.slaves[0]].get(R.SYNC0_CYCLE, 4)
 
     def _edges(self, until: int) -> None:
-        """Process edges of SYNC0 and watchdogs up to a time, and the cycles that begin there."""
+        """Process edges of SYNC0 and watchdogs up to a time, and run the cycles they start."""
         while (due := self.segment.next_time) <= until:
             self.segment.poll(due)
             counts = self.segment.escs["sync0_count"]
@@ -232,7 +231,7 @@ class Bus:
             most = plant.period if cyclic else IDLE_MOST
             behind = now - plant.time
             if cyclic and not exchanged and behind < 2 * most:
-                continue  # its frame comes
+                continue  # its frame is still expected
             if behind > 2 * most:
                 self.statistics.missed += 1
                 plant.time = now - most

@@ -20,8 +20,8 @@ class FramePath(NamedTuple):
     """The path of a frame through a slave."""
 
     times: list[int]  # at its open ports, in the order in which it came there (ns)
-    before: int  # neighbours that it has been at when it is processed
-    unit: int  # when it is processed, from the first time on (ns)
+    before: int  # neighbours that the frame visits before it is processed
+    unit: int  # from the first of the times to the processing (ns)
 
 
 class Branch(NamedTuple):
@@ -32,13 +32,13 @@ class Branch(NamedTuple):
 
 
 def measure(send: Callable[..., Any], slaves: Sequence[Any]) -> dict[int, int]:
-    """Set 0920h and 0928h of all slaves, the first one being the reference.
+    """Set 0920h and 0928h of all slaves; the first one is the reference.
 
     Args:
         send: sends datagrams and returns them.
         slaves: `RemoteSlave`, in the order of their processing units.
 
-    Returns: delay from the reference by position (ns), negative where it is processed before.
+    Returns: delay from the reference by position (ns); negative if processed before it.
 
     Raises:
         RuntimeError: the open ports are inconsistent; a link may have broken meanwhile.
@@ -79,7 +79,7 @@ def _trees(ways: Sequence[FramePath], begin: int, limit: int) -> Iterator[tuple[
 def _row(
     ways: Sequence[FramePath], begin: int, limit: int, count: int
 ) -> Iterator[tuple[list[Branch], int]]:
-    """`count` branches, one after the other."""
+    """Yield all sequences of `count` branches, and the first slave behind each."""
     if count == 0:
         yield [], begin
         return
@@ -89,7 +89,7 @@ def _row(
 
 
 def _entered(ways: Sequence[FramePath], branch: Branch, time: int) -> dict[int, int]:
-    """When a frame enters each slave of a branch (ns)."""
+    """Return the time at which a frame enters each slave of a branch (ns)."""
     times = ways[branch.slave].times
     entered = {branch.slave: time}
     for out, back, child in zip(times, times[1:], branch.behind, strict=False):

@@ -22,7 +22,7 @@ def _slots(objects: ObjectDictionary, index: int, first: int) -> tuple[list[Slot
 
 
 def _in_use(objects: ObjectDictionary, index: int, slots: list[Slot]) -> list[Slot]:
-    """The entries counted by sub-index 0, if a master may change that number."""
+    """The entries in use: those counted by sub-index 0 if a master may write it, else all."""
     head = objects.slots.get((index, 0))
     if head is None or not head.writable:
         return slots

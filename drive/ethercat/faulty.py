@@ -1,4 +1,4 @@
-"""Fault injection on a segment: at random with a seed, or scripted by milestones.
+"""Fault injection on a segment: random with a seed, or scripted by milestones.
 
 >>> bus = FaultyBus(segment, machines, faults=["drop at=cycle:100 count=3",
 ...                                            "retreat at=op:50 slave=1 code=0x1B"])
@@ -11,7 +11,7 @@ means unlimited), ``rate`` the probability at each opportunity.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,11 +23,11 @@ from .bus import Bus, Clock
 from .coe_header import Service
 from .controller.record import PORTS, Event
 from .controller.registers import R
-from .frame import HEADER, LENGTH, LOGICAL, MORE, TAIL, Command, body_of
+from .frame import HEADER, LOGICAL, TAIL, Command, body_of, unpack
 from .mailbox import HEADER as MAILBOX_HEADER
 from .segment import Segment
 
-LIMITS = {  # of the numbers of a fault
+LIMITS = {  # range of each number of a fault
     "count": (0, 1 << 31), "slave": (-1, 0xFFFF), "port": (0, PORTS - 1), "frames": (0, 1 << 31),
     "offset": (-0xFFFF, 0xFFFF),
 }
@@ -36,22 +36,22 @@ FULL = 0x08
 KINDS = {
     "drop": "the frame is lost on its way out",
     "lose": "the frame is lost on its way back",
-    "delay": "it comes back `frames` frames later",
-    "duplicate": "it comes back twice",
-    "stale": "the frame before comes back instead",
-    "truncate": "its last `frames` bytes are missing",
-    "wrong_index": "its first datagram has another index",
+    "delay": "the frame returns `frames` frames later",
+    "duplicate": "the frame returns twice",
+    "stale": "the previous frame returns instead",
+    "truncate": "the last `frames` bytes of the frame are missing",
+    "wrong_index": "the first datagram of the frame has another index",
     "wkc": "`offset` is added to the working counters of `command` (all) at `slave` (all: -1)",
-    "disconnect": "the cable before `slave` is pulled for `frames` frames (0: for good)",
+    "disconnect": "the cable before `slave` is unplugged for `frames` frames (0: for ever)",
     "break_link": "the cable at `port` of `slave` breaks",
-    "heal_link": "it is mended",
+    "heal_link": "the cable at `port` of `slave` is repaired",
     "power_cycle": "`slave` is without power for `frames` frames",
     "al_error": "`slave` shows `code` and stays in its state",
-    "retreat": "`slave` goes back to SAFE_OPERATIONAL with `code`",
-    "mailbox_abort": "the answer of `slave` to an SDO is an abort with `code`",
-    "mailbox_toggle": "its toggle bit is wrong",
-    "mailbox_silence": "there is no answer",
-    "mailbox_stale": "the answer before comes again",
+    "retreat": "`slave` retreats to SAFE_OPERATIONAL with `code`",
+    "mailbox_abort": "`slave` answers an SDO with an abort of `code`",
+    "mailbox_toggle": "the answer of `slave` has a wrong toggle bit",
+    "mailbox_silence": "`slave` does not answer",
+    "mailbox_stale": "`slave` repeats its previous answer",
 }
 
 
@@ -83,7 +83,10 @@ class Fault:
                 "number, such as cycle:100"
             )
         if self.command and self.command not in Command.__members__:
-            raise ValueError(f"fault {self.kind}: command={self.command} is none, such as LRW is")
+            raise ValueError(
+                f"fault {self.kind}: command={self.command} is unknown: choose one of "
+                f"{', '.join(Command.__members__)}"
+            )
         try:
             for field_, (low, high) in LIMITS.items():
                 whole(field_, getattr(self, field_), low, high)
@@ -106,22 +109,19 @@ class Fault:
         if not isinstance(line, str):
             raise ValueError(f"fault {line!r}: give a line such as 'drop at=frame:5 count=3'")
         kind, *pairs = line.split() or [""]
-        kinds = {field.name: field.type for field in fields(cls)}
-        values: dict[str, object] = {}
+        types: dict[str, Any] = {field.name: field.type for field in fields(cls)[1:]}
+        values: dict[str, Any] = {}
         for pair in pairs:
             key, _, text = pair.partition("=")
-            if key not in kinds or key == "kind":
-                known = ", ".join(name for name in kinds if name != "kind")
-                raise ValueError(f"fault {line!r}: {key!r} is unknown, use of {known}")
+            if key not in types:
+                raise ValueError(f"fault {line!r}: {key!r} is unknown: use {', '.join(types)}")
             if key in values:
-                raise ValueError(f"fault {line!r}: {key!r} is there twice")
+                raise ValueError(f"fault {line!r}: {key!r} is given twice")
             try:
-                values[key] = {"int": lambda t: int(t, 0), "float": float}.get(
-                    str(kinds[key]).removeprefix("<class '").removesuffix("'>"), str
-                )(text)  # type: ignore[operator]
+                values[key] = int(text, 0) if types[key] is int else types[key](text)
             except ValueError:
                 raise ValueError(f"fault {line!r}: {key}={text!r} is not a number") from None
-        return cls(kind, **values)  # type: ignore[arg-type]
+        return cls(kind, **values)
 
 
 class FaultyBus(Bus):
@@ -129,13 +129,13 @@ class FaultyBus(Bus):
 
     Args:
         segment: the slaves.
-        machines: with their drives.
+        machines: the machines with their drives.
         clock: source of time.
         faults: lines, or `Fault` objects.
         seed: seed of the rates, or a generator.
 
     Raises:
-        ValueError: an invalid fault, or one of a slave or port that does not exist.
+        ValueError: an invalid fault, or one at a slave or port that does not exist.
     """
 
     KEPT: ClassVar[tuple[str, ...]] = (
@@ -148,7 +148,7 @@ class FaultyBus(Bus):
     ):
         super().__init__(segment, machines, clock)
         self._random = np.random.default_rng(seed)
-        self._later: list[tuple[int, Fault, bytes]] = []  # from which frame on which one ends
+        self._later: list[tuple[int, Fault, bytes]] = []  # frame at which a fault ends, its reply
         self._last = b""
         self._mailbox: dict[int, bytes] = {}
         self.order(faults)
@@ -159,8 +159,8 @@ class FaultyBus(Bus):
         for fault in self.faults:
             if not -1 <= fault.slave < len(self.segment):
                 raise ValueError(
-                    f"fault {fault.kind}: slave={fault.slave}, there are {len(self.segment)}, "
-                    "counted from 0"
+                    f"fault {fault.kind}: slave={fault.slave}: there are {len(self.segment)} "
+                    "slaves, counted from 0"
                 )
             if fault.kind in ("break_link", "heal_link"):
                 try:
@@ -173,7 +173,7 @@ class FaultyBus(Bus):
     # ----------------------------------------------------------------- frames
 
     def receive(self, length: int, now: int, port: int = 0) -> bool:
-        """Let the frame in ``segment.frame[:length]`` pass, with the faults that are due."""
+        """Let the frame in ``segment.frame[:length]`` pass with the faults that are due."""
         frame = self.segment.frame
         self._seen["frame"] += 1
         self._seen["cycle"] += bool(length > 16 and frame[16] in LOGICAL)
@@ -214,7 +214,7 @@ class FaultyBus(Bus):
         return not kinds & {"lose", "delay", "truncate", "stale"}
 
     def exchange(self, frame: bytes, now: int = 0, port: int = 0) -> bytes | None:
-        """Exchange a frame as `Bus` does; a delayed answer may take the place of a missing one."""
+        """Exchange a frame as `Bus` does; a delayed answer may replace a missing one."""
         reply = super().exchange(frame, now, port)
         if reply is None and self.extra:
             return self.extra.popleft()
@@ -222,25 +222,17 @@ class FaultyBus(Bus):
 
     def _add(self, fault: Fault, length: int) -> None:
         """Add an offset to working counters."""
-        frame = self.segment.frame
-        at = body_of(frame[:length].tobytes()) + 2
-        station = int.from_bytes(
-            self.segment.escs["memory"][fault.slave, 0x0010:0x0012].tobytes(), "little"
-        )
-        more = at > 1
-        while more and at + HEADER + TAIL <= length:
-            size = int(frame[at + 6]) | int(frame[at + 7]) << 8
-            end = at + HEADER + (size & LENGTH)
-            command = int(frame[at])
-            right = not fault.command or command == Command[fault.command]
-            if fault.slave >= 0 and command in (Command.FPRD, Command.FPWR, Command.FPRW):
-                right = right and (int(frame[at + 2]) | int(frame[at + 3]) << 8) == station
-            if right:
-                counter = int(frame[end]) | int(frame[end + 1]) << 8
-                frame[end : end + 2] = list(
-                    (max(counter + fault.offset, 0) & 0xFFFF).to_bytes(2, "little")
-                )
-            at, more = end + TAIL, bool(size & MORE)
+        frame = self.segment.frame[:length]
+        station = self.segment.pdis[fault.slave].get(R.STATION_ADDRESS, 2)
+        at = body_of(frame.tobytes()) + 2
+        for row in unpack(frame.tobytes()):
+            end = at + HEADER + len(row.data)
+            by_station = row.command in (Command.FPRD, Command.FPWR, Command.FPRW)
+            right = not fault.command or row.command == Command[fault.command]
+            if right and not (fault.slave >= 0 and by_station and row.adp != station):
+                counter = max(row.wkc + fault.offset, 0) & 0xFFFF
+                frame[end : end + TAIL] = list(counter.to_bytes(TAIL, "little"))
+            at = end + TAIL
 
     # ------------------------------------------------------------------ script
 
@@ -251,7 +243,7 @@ class FaultyBus(Bus):
             name, number = fault.milestone
             if self._seen[name] < max(number, 1) or 0 < fault.count <= self.happened[n]:
                 continue
-            if fault.kind in ("wkc",) and name == "cycle" and self.segment.frame[16] not in LOGICAL:
+            if fault.kind == "wkc" and name == "cycle" and self.segment.frame[16] not in LOGICAL:
                 continue
             if fault.rate < 1.0 and self._random.random() >= fault.rate:
                 continue

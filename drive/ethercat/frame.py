@@ -1,7 +1,7 @@
-"""EtherCAT frames and datagrams as values: pack, unpack, and one line of text each.
+"""EtherCAT frames and datagrams as values: pack, unpack, and a line of text for each.
 
 Source: ETG.1000.4, clause 5 (frame structure, datagram), and its annex for UDP port 88A4h.
-The text is ``FPRD 1001:0130 02 -> 0800 wkc 1`` and the like, for golden tests and logs.
+The text, such as ``FPRD 1001:0130 [2] 0800 wkc 1``, serves golden tests and logs.
 """
 
 import struct
@@ -13,13 +13,13 @@ ETHERTYPE = 0x88A4
 VLAN, IP = 0x8100, 0x0800
 UDP_PORT = 0x88A4
 BROADCAST = b"\xff" * 6
-MASTER = b"\x01\x01\x01\x01\x01\x01"  # source address, as SOEM has it
+MASTER = b"\x01\x01\x01\x01\x01\x01"  # source address, the same as SOEM's
 SHORTEST, LONGEST = 60, 1514  # bytes of an Ethernet frame without its check sequence
 MORE = 0x8000  # bit of the length: another datagram follows
-ROUND = 0x4000  # this datagram has gone round before
+ROUND = 0x4000  # bit of the length: the datagram has circulated before
 LENGTH = 0x07FF
 DATAGRAMS = 1  # type in the header; 4 are network variables, 5 a mailbox over IP
-HEADER, TAIL = 10, 2  # bytes of a datagram before and behind its data
+HEADER, TAIL = 10, 2  # bytes of a datagram before and after its data
 MOST = LONGEST - 14 - 2 - HEADER - TAIL  # bytes of data in one datagram
 
 
@@ -48,7 +48,7 @@ LOGICAL = (Command.LRD, Command.LWR, Command.LRW)
 
 
 class Datagram(NamedTuple):
-    """One datagram; `command` is an int if `Command` does not contain it."""
+    """A datagram; `command` is a plain int if `Command` does not contain it."""
 
     command: int
     adp: int  # position, station address, or low word of the logical address
@@ -75,9 +75,9 @@ class Datagram(NamedTuple):
 _HEADER = struct.Struct("<BBHHHH")
 
 
-def logical(command: Command, address: int, data: bytes, index: int = 0) -> Datagram:
+def logical(command: Command, address: int, data: bytes) -> Datagram:
     """A datagram with a logical address."""
-    return Datagram(command, address & 0xFFFF, address >> 16, data, index=index)
+    return Datagram(command, address & 0xFFFF, address >> 16, data)
 
 
 def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
@@ -100,8 +100,8 @@ def pack(datagrams: Iterable[Datagram], source: bytes = MASTER) -> bytes:
             raise ValueError(f"datagram {number} {tuple(row)!r:.80}: {error}") from None
     body = b"".join(parts)
     if not rows or len(body) > LONGEST - 16:
-        raise ValueError(f"{len(rows)} datagrams with {len(body)} bytes: a frame has 1 or more, "
-                         f"up to {LONGEST - 16} bytes; send several frames")
+        raise ValueError(f"{len(rows)} datagrams with {len(body)} bytes: a frame holds at least 1 "
+                         f"datagram and at most {LONGEST - 16} bytes; send several frames")
     head = BROADCAST + source + ETHERTYPE.to_bytes(2, "big")
     frame = head + (len(body) | DATAGRAMS << 12).to_bytes(2, "little") + body
     return frame.ljust(SHORTEST, b"\0")

@@ -1,7 +1,7 @@
 """The master's side of a mailbox: telegrams and SDO transfers of one slave (ETG.1000.6, 5.6).
 
-Unsolicited telegrams, such as emergencies, are kept. Lost frames are sent again; lost answers are
-requested again with the repeat request of sync manager 1.
+Emergencies are kept in a list. Lost frames are sent again; lost answers are requested again by the
+repeat request of sync manager 1.
 """
 
 import struct
@@ -15,12 +15,12 @@ from .frame import Command, Datagram
 from .mailbox import HEADER, Kind, pack
 
 FULL = 0x08
-POLLS = 200  # looks at the mailbox before it is given up
+POLLS = 200  # reads of the mailbox before a transfer is given up
 REPEAT = 0x02  # 080Eh and 080Fh
 
 
 class MailboxError(ValueError):
-    """A mailbox error as the answer to a telegram."""
+    """The slave has answered a telegram with a mailbox error."""
 
     def __init__(self, detail: int, station: int):
         super().__init__(f"mailbox error {detail} of slave {station:04X}h")
@@ -31,15 +31,15 @@ class Sender(Protocol):
     """Sends datagrams, and repeats lost frames."""
 
     def send(self, *datagrams: Datagram) -> list[Datagram]:
-        """Send datagrams; -> as they return. Raises TimeoutError if none returns."""
+        """Send datagrams; -> the datagrams that return. Raises TimeoutError."""
 
 
 class MailboxClient:
-    """Mailbox of the slave at a station address.
+    """The mailbox of the slave at a station address.
 
     Args:
         sender: sends datagrams to the segment.
-        station: address.
+        station: station address.
         out: start and length of sync manager 0.
         into: start and length of sync manager 1.
         polls: number of reads of the mailbox before giving up.
@@ -65,7 +65,7 @@ class MailboxClient:
 
         Raises:
             TimeoutError: the mailbox stays full or empty.
-            MailboxError: the answer is one.
+            MailboxError: the slave answers with a mailbox error.
         """
         self.tell(kind, body)
         return self.next(kind)
@@ -94,7 +94,7 @@ class MailboxClient:
         raise TimeoutError(f"slave {self._station:04X}h does not answer in its mailbox")
 
     def waiting(self) -> bytes:
-        """The body of a waiting telegram; empty if there is none."""
+        """Return the body of a waiting telegram; empty if there is none."""
         found = self._take()
         return b"" if found is None else found[1]
 
@@ -113,7 +113,7 @@ class MailboxClient:
         return kind & 15, body
 
     def _ask_again(self) -> None:
-        """Toggle the repeat request: a reply may have been lost on its way."""
+        """Toggle the repeat request, because a reply may have been lost."""
         at = R.SYNC_MANAGER + 8 + 6
         activate = self._read(at, 1).data[0] ^ REPEAT
         self._sender.send(Datagram(Command.FPWR, self._station, at, bytes([activate])))
@@ -134,9 +134,9 @@ class MailboxClient:
         """Read the bytes of an object.
 
         Raises:
-            SdoAbort: the drive refuses. ValueError: no object has such an address.
+            SdoAbort: the drive refuses. ValueError: index or sub-index out of range.
         """
-        _address(index, subindex)
+        _check(index, subindex)
         body = struct.pack("<BHB4x", 0x50 if complete else 0x40, index, subindex)
         answer = self._sdo(body, index, subindex)
         if answer[0] & 2:
@@ -156,9 +156,9 @@ class MailboxClient:
         """Write an object.
 
         Raises:
-            SdoAbort: the drive refuses. ValueError: no object has such an address; no bytes.
+            SdoAbort: the drive refuses. ValueError: index or sub-index out of range, not bytes.
         """
-        _address(index, subindex)
+        _check(index, subindex)
         data = bytes(octets("data", data))
         if len(data) <= 4 and not complete:
             command = 0x23 | (4 - len(data)) << 2
@@ -178,7 +178,7 @@ class MailboxClient:
             toggle ^= 0x10
 
 
-def _address(index: int, subindex: int) -> None:
-    """Raise ValueError for an address that no object can have."""
+def _check(index: int, subindex: int) -> None:
+    """Raise ValueError if index or sub-index is out of range."""
     whole("index", index, 0, 0xFFFF)
     whole("subindex", subindex, 0, 0xFF)

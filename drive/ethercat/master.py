@@ -1,4 +1,4 @@
-"""A small EtherCAT master in memory: scan, map, OP, SDO, process data, distributed clocks.
+"""A small EtherCAT master: scan, mapping, states, SDO, process data, distributed clocks.
 
 >>> master = EtherCatMaster(bus)
 >>> for slave in master.scan():
@@ -6,21 +6,21 @@
 >>> master.to_op()
 >>> master.cycle()
 
-It sends frames to anything with `exchange`: a `Bus`, a bare `Segment`, one with faults. What does
-not answer raises TimeoutError, a state that is refused RuntimeError with the slave's code.
+It sends frames to anything with `exchange`: a `Bus`, a bare `Segment`, or one with faults. Without
+an answer it raises TimeoutError, for a refused state RuntimeError with the slave's code.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 from ..model.given import whole
-from ..objects.abort import SdoAbort
 from . import clocks, sii
 from .al import AlState, AlStatusCode
 from .controller.registers import R
 from .description import Description
 from .frame import MOST, Command, Datagram, logical, pack, unpack
 from .mailbox_client import MailboxClient
+from .port import ASSIGNMENTS, SlaveSide
 
 FIRST_STATION = 0x1001
 LOGICAL_START = 0x10000
@@ -28,18 +28,17 @@ RETRIES = 3
 POLLS = 1000
 ERROR, ACKNOWLEDGE = 0x10, 0x10
 COE = 4  # bit of word 1Ch of the SII
-ASSIGNMENTS = {2: 0x1C12, 3: 0x1C13}
 
 
 class Wire(Protocol):
-    """Where frames go."""
+    """The connection to a segment."""
 
     def exchange(self, frame: bytes, now: int = 0) -> bytes | None:
-        """Send a frame; -> what comes back."""
+        """Send a frame; -> the frame that returns, None if it is lost."""
 
 
-class RemoteSlave:
-    """One slave as the master found it."""
+class RemoteSlave(SlaveSide):
+    """A slave that the master has found."""
 
     def __init__(self, master: "EtherCatMaster", position: int, station: int | None = None):
         self.position = position
@@ -55,34 +54,25 @@ class RemoteSlave:
         self.inputs = b""
 
     def read(self, address: int, size: int) -> bytes:
-        """Registers. Raises TimeoutError where the slave does not answer."""
+        """Read registers. Raises TimeoutError if the slave does not answer."""
         reply = self._master.send(Datagram(Command.FPRD, self.station, address, bytes(size)))[0]
         if not reply.wkc:
             raise TimeoutError(f"slave {self.position} does not answer at {address:04X}h")
         return reply.data
 
     def number(self, address: int, size: int) -> int:
-        """A register."""
+        """Read a register as a number."""
         return int.from_bytes(self.read(address, size), "little")
 
     def write(self, address: int, data: bytes) -> bool:
-        """Registers; -> whether they were written."""
+        """Write registers; -> whether they were written."""
         row = Datagram(Command.FPWR, self.station, address, data)
         return self._master.send(row)[0].wkc == 1
 
     # -------------------------------------------------------------------- SII
 
-    def read_sii(self) -> bytes:
-        """The whole EEPROM, as long as its size word says."""
-        image = b""
-        size = 128
-        while len(image) < size:
-            image += self._read_words(len(image) // 2)
-            if len(image) == 128:
-                size = (int.from_bytes(image[124:126], "little") + 1) * 128
-        return image[:size]
-
-    def _read_words(self, word: int) -> bytes:
+    def read_words(self, word: int) -> bytes:
+        """Read 4 or 8 bytes of the EEPROM."""
         self.write(R.EEPROM_ADDRESS, word.to_bytes(4, "little"))
         self.write(R.EEPROM_CONTROL, b"\0\1")
         status = self._eeprom_ready()
@@ -103,10 +93,10 @@ class RemoteSlave:
         return AlState(self.number(R.AL_STATUS, 2) & 0x0F)
 
     def request(self, state: AlState, *, acknowledge: bool = False) -> None:
-        """Ask for a state and wait for it.
+        """Request a state and wait for it.
 
         Raises:
-            RuntimeError: the slave refuses; tells its AL status code.
+            RuntimeError: the slave refuses; the message has its AL status code.
         """
         self.write(R.AL_CONTROL, bytes([state | (ACKNOWLEDGE if acknowledge else 0), 0]))
         status = 0
@@ -123,13 +113,13 @@ class RemoteSlave:
             )
 
     def recover(self) -> None:
-        """Acknowledge an error, with a request of the state the slave is in."""
+        """Acknowledge an error by a request of the present state."""
         self.request(self.state, acknowledge=True)
 
     # ------------------------------------------------------------ configuration
 
     def sync_manager(self, n: int, start: int, length: int, control: int) -> None:
-        """Configure and switch on, or off where the length is 0."""
+        """Configure and enable a sync manager, or disable it if the length is 0."""
         at = R.SYNC_MANAGER + 8 * n
         self.write(at + 6, b"\0")
         row = start.to_bytes(2, "little") + length.to_bytes(2, "little")
@@ -142,51 +132,34 @@ class RemoteSlave:
         self.write(R.FMMU + 16 * n, row)
 
     def open_mailbox(self) -> None:
-        """Sync managers 0 and 1 as the SII has them."""
+        """Configure sync managers 0 and 1 as stated in the SII."""
         managers, box = self.description.sync_managers, self.description.mailbox
         self.sync_manager(0, box.out_start, box.out_length, managers[0].control)
         self.sync_manager(1, box.in_start, box.in_length, managers[1].control)
 
     def size(self, manager: int) -> int:
-        """Bytes of sync manager 2 or 3: what is assigned and mapped, else what the SII says."""
+        """Size of sync manager 2 or 3 (bytes) by the assigned PDOs; without CoE, by the SII."""
         if self.description.protocols & COE:
-            bits = 0
-            index = ASSIGNMENTS[manager]
-            for n in range(self.upload(index, 0)):
-                pdo = self.upload(index, n + 1)
-                entries = self.upload(pdo, 0)
-                bits += sum(self.upload(pdo, k + 1) & 0xFF for k in range(entries))
+            pdos = self.array(ASSIGNMENTS[manager - 2])
+            bits = sum(word & 0xFF for pdo in pdos for word in self.array(pdo))
         else:
             bits = sum(e.bits for p in self.description.assigned(manager) for e in p.entries)
         return (bits + 7) // 8
-
-    def upload(self, index: int, subindex: int = 0) -> int:
-        """A number. Raises SdoAbort where the drive refuses."""
-        return int.from_bytes(self.mailbox.upload(index, subindex), "little")
-
-    def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
-        """PDOs of sync managers 2 and 3 (1C12h, 1C13h)."""
-        for index, pdos in ((0x1C12, [*rpdos]), (0x1C13, [*tpdos])):
-            self.mailbox.download(index, 0, b"\0")
-            for n, pdo in enumerate(pdos, 1):
-                number = whole("PDO", pdo, 0, 0xFFFF)
-                self.mailbox.download(index, n, number.to_bytes(2, "little"))
-            self.mailbox.download(index, 0, bytes([whole("number of PDOs", len(pdos), 0, 254)]))
 
 
 class EtherCatMaster:
     """Commands the slaves of a segment.
 
     Args:
-        wire: where frames go.
-        most: bytes of process data in one frame; more are split over several.
+        wire: the connection to the segment.
+        most: largest process data in one frame (bytes); larger ones are split over several.
     """
 
     def __init__(self, wire: Wire, most: int = MOST):
         self.wire = wire
         whole("most", most, 1, MOST, "byte")
         self.slaves: list[RemoteSlave] = []
-        self.wrong = 0  # frames of process data with a working counter that was not expected
+        self.wrong = 0  # frames of process data that were lost or had a wrong working counter
         self._most = most
         self._index = 0
         self._groups: list[tuple[int, int, list[RemoteSlave]]] = []  # address, bytes, slaves
@@ -195,10 +168,10 @@ class EtherCatMaster:
     # ----------------------------------------------------------------- frames
 
     def send(self, *datagrams: Datagram) -> list[Datagram]:
-        """Datagrams as they come back, sent again where they do not.
+        """Send datagrams, up to `RETRIES` times; -> the datagrams that return.
 
         Raises:
-            TimeoutError: no reply, however often they are sent.
+            TimeoutError: no reply.
         """
         for _ in range(RETRIES):
             replies = self._once(datagrams)
@@ -218,7 +191,7 @@ class EtherCatMaster:
     # ------------------------------------------------------------------- scan
 
     def scan(self) -> list[RemoteSlave]:
-        """Find the slaves, give them station addresses, read their EEPROMs; they are in INIT."""
+        """Find the slaves, assign station addresses, read their EEPROMs; they are in INIT."""
         count = self.send(Datagram(Command.BRD, 0, R.TYPE, b"\0"))[0].wkc
         self.send(Datagram(Command.BWR, 0, R.AL_CONTROL, bytes([AlState.INIT | ACKNOWLEDGE, 0])))
         for address, size in ((R.FMMU, 256), (R.SYNC_MANAGER, 128), (R.ACTIVATION, 1)):
@@ -231,12 +204,12 @@ class EtherCatMaster:
         return self.slaves
 
     def to(self, state: AlState) -> None:
-        """All slaves to a state, one step."""
+        """Bring all slaves to a state by one transition."""
         for slave in self.slaves:
             slave.request(state)
 
     def recover(self) -> None:
-        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
+        """Bring slaves back to OPERATIONAL after a watchdog error."""
         fallen = [slave for slave in self.slaves if slave.state != AlState.OPERATIONAL]
         if not fallen:
             return
@@ -247,7 +220,7 @@ class EtherCatMaster:
             slave.request(AlState.OPERATIONAL)
 
     def to_preop(self) -> None:
-        """Mailboxes open, PRE_OPERATIONAL."""
+        """Open the mailboxes and bring all slaves to PRE_OPERATIONAL."""
         for slave in self.slaves:
             slave.open_mailbox()
             slave.request(AlState.PRE_OPERATIONAL)
@@ -255,7 +228,7 @@ class EtherCatMaster:
     # ------------------------------------------------------------ process data
 
     def map(self) -> None:
-        """Sync managers 2 and 3 and FMMUs for what the slaves have assigned; in PRE_OPERATIONAL."""
+        """Set sync managers 2 and 3 and FMMUs for the assigned PDOs, in PRE_OPERATIONAL."""
         sizes = {slave: (slave.size(2), slave.size(3)) for slave in self.slaves}
         self._groups = []
         for slave in self.slaves:
@@ -279,13 +252,13 @@ class EtherCatMaster:
 
     @property
     def frames(self) -> int:
-        """Frames of one cycle."""
+        """Number of frames in a cycle."""
         return len(self._groups)
 
     def cycle(self) -> bool:
         """Exchange process data once; -> whether every working counter was right.
 
-        With `synchronise` the first frame hands the reference clock on.
+        After `synchronise`, the first frame also distributes the reference clock's time.
         """
         right = True
         for number, (begin, size, slaves) in enumerate(self._groups):
@@ -299,11 +272,11 @@ class EtherCatMaster:
         return right
 
     def send_process_data(self) -> None:
-        """Exchange process data: this wire answers at once."""
+        """Exchange process data, because this wire answers at once."""
         self.cycle()
 
     def look(self) -> bool:
-        """Read the inputs alone (LRD); -> whether every working counter was right."""
+        """Read the inputs only (LRD); -> whether every working counter was right."""
         right = True
         for begin, size, slaves in self._groups:
             rows = [logical(Command.LRD, begin, bytes(size))]
@@ -313,7 +286,7 @@ class EtherCatMaster:
     def _inputs(
         self, rows: Sequence[Datagram], expected: int, slaves: Sequence[RemoteSlave]
     ) -> bool:
-        """Send a frame, and take the inputs of a group; -> whether its counter was right."""
+        """Send a frame and store the inputs of a group; -> whether its counter was right."""
         replies = self._once(rows)
         if replies is None or replies[0].wkc != expected:
             self.wrong += 1
@@ -325,12 +298,12 @@ class EtherCatMaster:
         return True
 
     def state(self) -> tuple[Any, ...]:
-        """What process data depend on, once mapped: `become` goes on with it."""
+        """Return the state on which process data depend once mapped, for `become`."""
         images = [(bytes(slave.outputs), slave.inputs) for slave in self.slaves]
         return self._index, self.wrong, images
 
     def become(self, state: tuple[Any, ...]) -> None:
-        """Go on where `state` was told, with the same slaves, mapped as they were."""
+        """Continue from a `state` of the same slaves with the same mapping."""
         self._index, self.wrong, images = state
         for slave, (outputs, inputs) in zip(self.slaves, images, strict=True):
             slave.outputs, slave.inputs = bytearray(outputs), inputs
@@ -339,10 +312,10 @@ class EtherCatMaster:
         """Bring all slaves from any AL state to OPERATIONAL, with process data.
 
         Args:
-            prepare: fills the outputs, before the first of them go out.
+            prepare: fills the outputs before they are first sent.
 
         Raises:
-            RuntimeError: a slave refuses a state; tells which and its code.
+            RuntimeError: a slave refuses a state; the message has the slave and its code.
         """
         if not self.slaves:
             self.scan()
@@ -359,7 +332,7 @@ class EtherCatMaster:
     # -------------------------------------------------------- distributed clocks
 
     def synchronise(self) -> dict[int, int]:
-        """Measure delays and offsets; `cycle` keeps the clocks together from now on.
+        """Measure delays and offsets; from now on `cycle` keeps the clocks synchronised.
 
         Returns: delay from the reference clock by position (ns).
         """
@@ -368,9 +341,9 @@ class EtherCatMaster:
         return delays
 
     def sync0(self, cycle: int, shift: int = 0) -> None:
-        """Switch on SYNC0 of all slaves: period and shift (ns), from a common whole period on.
+        """Start SYNC0 of all slaves at a common whole period, with period and shift in ns.
 
-        Raises ValueError for a period or shift that 09A0h cannot hold.
+        Raises ValueError for a period or shift of more than 32 bits.
         """
         whole("cycle", cycle, 1, 0xFFFFFFFF, "ns")
         whole("shift", shift, -0xFFFFFFFF, 0xFFFFFFFF, "ns")
@@ -381,11 +354,3 @@ class EtherCatMaster:
             slave.write(R.SYNC0_CYCLE, cycle.to_bytes(4, "little"))
             slave.write(R.START_TIME, start.to_bytes(8, "little"))
             slave.write(R.ACTIVATION, b"\3")
-
-    def refused(self, slave: RemoteSlave, index: int, subindex: int, data: bytes) -> int:
-        """The abort code of a download, 0 where it was taken."""
-        try:
-            slave.mailbox.download(index, subindex, data)
-        except SdoAbort as error:
-            return int(error.code)
-        return 0

@@ -1,16 +1,17 @@
-"""Drives on EtherCAT as a master reaches them: objects by SDO, or by process data where mapped."""
+"""Access of a master to drives on EtherCAT: objects by SDO, or by process data where mapped."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from ..master.port import Units
+from ..model.given import whole
 from ..model.model import DriveModel, load
 from ..model.pdo import mapping_entry, places
 from ..objects.hooks.ethercat import mappable
 from .al import AlState
 
-LATENCY = 0.01  # s; inferred: by then a drive has seen a start bit and its status bits are new
+LATENCY = 0.01  # s; inferred: until the status bits show the effect of a command
 OUTPUTS = ("controlword", "target_position", "modes_of_operation")
 INPUTS = ("statusword", "position_actual_value", "modes_of_operation_display")
 ASSIGNMENTS = (0x1C12, 0x1C13)
@@ -18,7 +19,7 @@ PDO_BYTES = 8
 
 
 class SlaveSide(Protocol):
-    """One slave, as `master.RemoteSlave` or `servogym.drive.wire.soem.SoemSlave`."""
+    """A slave that a master has found: `master.RemoteSlave` or `wire.soem.SoemSlave`."""
 
     outputs: bytearray
     inputs: bytes
@@ -28,64 +29,88 @@ class SlaveSide(Protocol):
     def state(self) -> AlState:
         """State without the error bit."""
 
+    def read_words(self, word: int) -> bytes:
+        """Read 4 or 8 bytes of the EEPROM."""
+
+    def read_sii(self) -> bytes:
+        """Read the EEPROM, up to the size it states."""
+        image, size = b"", 128
+        while len(image) < size:
+            image += self.read_words(len(image) // 2)
+            if len(image) == 128:
+                size = min((int.from_bytes(image[124:126], "little") + 1) * 128, 1 << 16)
+        return image[:size]
+
     def upload(self, index: int, subindex: int = 0) -> int:
-        """A number."""
+        """Read a number by SDO. Raises SdoAbort if the drive refuses."""
+        return int.from_bytes(self.mailbox.upload(index, subindex), "little")
+
+    def array(self, index: int) -> list[int]:
+        """Read the values of an array by SDO, from sub-index 1 on. Raises SdoAbort."""
+        return [self.upload(index, n + 1) for n in range(self.upload(index))]
 
     def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
-        """PDOs of sync managers 2 and 3."""
+        """Assign PDOs to sync managers 2 and 3 (1C12h, 1C13h). Raises SdoAbort, ValueError."""
+        for index, pdos in zip(ASSIGNMENTS, ([*rpdos], [*tpdos]), strict=True):
+            count = whole("number of PDOs", len(pdos), 0, 254)
+            self.mailbox.download(index, 0, b"\0")
+            for n, pdo in enumerate(pdos, 1):
+                number = whole("PDO", pdo, 0, 0xFFFF)
+                self.mailbox.download(index, n, number.to_bytes(2, "little"))
+            self.mailbox.download(index, 0, bytes([count]))
 
 
 class SegmentMaster(Protocol):
-    """Who commands slaves: `master.EtherCatMaster`, or `servogym.drive.wire.soem.SoemMaster`."""
+    """A master: `master.EtherCatMaster`, or `servogym.drive.wire.soem.SoemMaster`."""
 
     @property
     def slaves(self) -> Sequence[SlaveSide]:
         """The slaves found by the scan."""
 
     def scan(self) -> Sequence[SlaveSide]:
-        """Find them."""
+        """Find the slaves."""
 
     def to_preop(self) -> None:
-        """Open the mailboxes."""
+        """Open the mailboxes and bring all slaves to PRE_OPERATIONAL."""
 
     def to_op(self, prepare: Callable[[], object]) -> None:
-        """Process data as they are assigned; `prepare` fills the outputs before they go out."""
+        """Bring all slaves to OPERATIONAL; `prepare` fills the outputs before they are sent."""
 
     def cycle(self) -> bool:
-        """Exchange process data."""
+        """Exchange process data once; -> whether every working counter was right."""
 
     def send_process_data(self) -> None:
-        """Send process data; the answer is taken by the next call of these."""
+        """Send process data; the next call of a method here receives the answer."""
 
     def look(self) -> bool:
-        """Read the inputs alone."""
+        """Read the inputs only; -> whether all slaves have answered."""
 
     def recover(self) -> None:
-        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
+        """Bring slaves back to OPERATIONAL after a watchdog error."""
 
 
 class EtherCatPort:
-    """Slaves of one segment, in OPERATIONAL.
+    """The slaves of a segment, brought to OPERATIONAL.
 
-    Slaves that are in INIT or PRE_OPERATIONAL get `outputs` and `inputs` mapped; others keep what
-    they have.
+    In slaves that are in INIT or PRE_OPERATIONAL, `outputs` and `inputs` are mapped; others keep
+    their mapping.
 
     Args:
-        master: of the segment: in memory, or SOEM's.
-        models: the drive model of each slave by the name it goes by, in the order of the slaves;
-            one model alone is ``slave``.
-        outputs: names of the objects in 1600h, and in the next ones where 8 bytes are full.
-        inputs: of those in 1A00h and the next ones.
-        now: time (s); that of the bus in memory if not given.
-        units: of the drives, where their factors are known.
+        master: master of the segment.
+        models: drive models by the names of the slaves, in the order of the slaves; a single model
+            is named ``slave``.
+        outputs: names of the objects mapped to 1600h, and to the next PDOs once 8 bytes are full.
+        inputs: names of the objects mapped to 1A00h and the next PDOs.
+        now: returns the time (s); by default that of the bus in memory.
+        units: units of the drives, if their factors are known.
 
     Raises:
-        ValueError: other slaves than models, an unknown model or name.
+        ValueError: slaves and models differ in number, an unknown model or name.
         RuntimeError: a slave refuses a state.
     """
 
     latency = LATENCY
-    cyclic = False  # exchange process data after each SDO as well: their watchdog does not wait
+    cyclic = False  # exchange process data after each SDO too, so that their watchdog is served
 
     def __init__(
         self,
@@ -101,7 +126,7 @@ class EtherCatPort:
         self.master = master
         self.models = {axis: load(model, "ethercat") for axis, model in named.items()}
         self._units = units or Units()
-        self.exchanges = 0  # of process data
+        self.exchanges = 0  # number of exchanges of process data
         self._now = now or (lambda: master.wire.time * 1e-9)  # type: ignore[attr-defined]
         slaves = master.slaves or master.scan()
         if len(slaves) != len(self.models):
@@ -123,15 +148,15 @@ class EtherCatPort:
             node.find_places()
 
     def now(self) -> float:
-        """Time (s)."""
+        """Present time (s)."""
         return self._now()
 
     def read(self, axis: str, name: str) -> int | float:
-        """An object (drive units), of the process data if they have it, else by SDO."""
+        """Read an object (drive units) from the process data if mapped, otherwise by SDO."""
         return self.nodes[axis].read(name)
 
     def upload(self, axis: str, name: str) -> int | float:
-        """An object (drive units), by SDO."""
+        """Read an object (drive units) by SDO."""
         value = self.nodes[axis].upload(name)
         if self.cyclic:
             self.exchange()
@@ -148,7 +173,7 @@ class EtherCatPort:
         return self.master.cycle()
 
     def send(self) -> None:
-        """Send process data without waiting for the answer, which the next exchange takes."""
+        """Send process data; the next exchange receives the answer."""
         self.exchanges += 1
         self.master.send_process_data()
 
@@ -158,19 +183,19 @@ class EtherCatPort:
 
 
 class RemoteObjects:
-    """Reads and writes objects of one slave; `EtherCatPort` has the arguments and errors."""
+    """Reads and writes objects of one slave; arguments and errors as for `EtherCatPort`."""
 
     def __init__(self, slave: SlaveSide, model: DriveModel):
         self.slave = slave
         self._model = model
-        self._outputs: dict[str, int] = {}  # object -> byte of the process data
+        self._outputs: dict[str, int] = {}  # object name -> byte of the process data
         self._inputs: dict[str, int] = {}
 
     def map(self, outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Map objects to the first flexible PDOs, as many as they fill, and assign these.
+        """Map objects to the first flexible PDOs, as many as needed, and assign these.
 
-        Where the drive has too few of them, its PDOs stay as it has them; `read` and `write` take
-        what these do not carry by SDO.
+        A drive with too few of them keeps its PDOs; `read` and `write` then access the objects that
+        are not mapped by SDO.
         """
         shares = [self._shared_out(names) for names in (outputs, inputs)]
         all_pdos, free = (self._model.rpdos, self._model.tpdos), mappable(self._model)
@@ -194,7 +219,7 @@ class RemoteObjects:
         self.slave.assign(*assigned)
 
     def _shared_out(self, names: Sequence[str]) -> list[list[int]]:
-        """Mapping entries of objects, in PDOs of 8 bytes."""
+        """Distribute the mapping entries of objects over PDOs of 8 bytes."""
         shares: list[list[int]] = [[]]
         free = PDO_BYTES
         for name in names:
@@ -207,34 +232,30 @@ class RemoteObjects:
         return shares
 
     def find_places(self) -> None:
-        """Read what the process data carry; outputs begin with what the drive has."""
+        """Read the mapping of the process data; outputs start with the drive's own values."""
         self._outputs, self._inputs = map(self._places, ASSIGNMENTS)
         for name, at in self._outputs.items():
             data = self._model.number(name).pack(self.upload(name))
             self.slave.outputs[at : at + len(data)] = data
 
     def _places(self, assignment: int) -> dict[str, int]:
-        words = [word for pdo in self._list(assignment) for word in self._list(pdo)]
+        words = [word for pdo in self.slave.array(assignment) for word in self.slave.array(pdo)]
         return places(self._model.objects, map(mapping_entry, words))[0]
 
-    def _list(self, index: int) -> list[int]:
-        """The values of an array from sub-index 1 on."""
-        return [self.slave.upload(index, n + 1) for n in range(self.slave.upload(index))]
-
     def read(self, name: str) -> int | float:
-        """An object's value (drive units), of the process data if they have it, else by SDO."""
+        """Read an object (drive units) from the process data if mapped, otherwise by SDO."""
         at = self._inputs.get(name)
         if at is None:
             return self.upload(name)
         return self._model.number(name).code.unpack_from(self.slave.inputs, at)[0]
 
     def upload(self, name: str) -> int | float:
-        """An object's value (drive units), by SDO."""
+        """Read an object (drive units) by SDO."""
         row = self._model.number(name)
         return row.unpack(self.slave.mailbox.upload(row.index, row.subindex))
 
     def write(self, name: str, value: int | float) -> bool:
-        """Set an object (drive units), in the outputs if they have it, else by SDO; -> whether so.
+        """Write an object (drive units) to the outputs if mapped, else by SDO; -> whether by SDO.
 
         Raises:
             ValueError: unknown name, or a value that does not fit the object's type.

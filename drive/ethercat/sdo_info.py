@@ -1,7 +1,7 @@
 """SDO information: lists, objects and entries of the dictionary (ETG.1000.6, 5.6.3; tables 43-49).
 
-All of it comes from the rows of the model. An answer that does not fit the mailbox goes in
-fragments, each telling how many follow.
+The information comes from the rows of the model. An answer that does not fit the mailbox is split
+into fragments, each of which states how many follow.
 """
 
 import functools
@@ -47,17 +47,17 @@ RECORDS = (
     (0x1A00, 0x1BFF, 0x0021),
     (0x1C32, 0x1C33, 0x0029),  # synchronisation parameter
 )
-READ, WRITE = 0x0007, 0x0038  # in PRE_OP, SAFE_OP and OP
+READ, WRITE = 0x0007, 0x0038  # access in PRE_OP, SAFE_OP and OP
 RX, TX, BACKUP = 0x0040, 0x0080, 0x0100
 UNIT, DEFAULT, MINIMUM, MAXIMUM = 0x08, 0x10, 0x20, 0x40  # value information
 LENGTHS, ALL = 0, 1  # lists
-LISTS = 5  # longest number of a list
+LISTS = 5  # largest number of a list
 INCOMPLETE = 0x80  # bit 7 of the opcode: fragments follow
 _HEAD = struct.Struct("<BxH")
 
 
 def members(model: DriveModel) -> dict[int, list[Object]]:
-    """The rows of a model by index, both in order."""
+    """Return the rows of a model by index, both in ascending order."""
     found: dict[int, list[Object]] = {}
     for row in described(model):
         found.setdefault(row.index, []).append(row)
@@ -65,7 +65,7 @@ def members(model: DriveModel) -> dict[int, list[Object]]:
 
 
 def object_name(rows: list[Object]) -> str:
-    """Name of an object; rows name only what is in an array or record, so sub-index 0 gives it."""
+    """Name of an object, from that of sub-index 0, because rows name entries only."""
     name = rows[0].name
     for affix in ("_entries", "_number_of_mapped_objects", "_number_of_mapped_entries"):
         name = name.removesuffix(affix)
@@ -73,7 +73,7 @@ def object_name(rows: list[Object]) -> str:
 
 
 def object_code(rows: list[Object]) -> ObjectCode:
-    """What kind of object the rows are."""
+    """Object code of the object that consists of these rows."""
     if len(rows) == 1 and rows[0].object_type not in ("ARRAY", "RECORD"):
         return ObjectCode.VAR
     return ObjectCode.ARRAY if rows[0].object_type == "ARRAY" else ObjectCode.RECORD
@@ -89,7 +89,7 @@ def data_type(rows: list[Object]) -> int:
 
 
 def bits(row: Object) -> int:
-    """Length of an entry (bit); a string has that of its default."""
+    """Length of an entry (bit); for a string, that of its default."""
     if row.data_type == "BOOLEAN":
         return 1
     return 8 * (row.size or len(row.initial))
@@ -112,7 +112,7 @@ class SdoInfo:
         self._rows = {(row.index, row.subindex): row for row in described(model)}
 
     def request(self, body: bytes, size: int) -> Answer:
-        """A body of the service SDO information; `size` is the longest body of an answer."""
+        """Answer the body of a telegram; `size` is the longest body of an answer (bytes)."""
         if len(body) < 6:
             return MailboxError.SIZE_TOO_SHORT
         opcode = body[2] & 0x7F
@@ -188,7 +188,7 @@ class SdoInfo:
             return self._error(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
         given = 0
         values = b""
-        # a unit has no number in the model: bit 3 is never given (ETG.1004)
+        # bit 3 is never set, because units have no number in the model (ETG.1004)
         for bit, value in (
             (DEFAULT, row.default),
             (MINIMUM, row.minimum),
@@ -204,7 +204,7 @@ class SdoInfo:
 
 
 def _value(row: Object, value: float | str) -> bytes | None:
-    """A value in the data type of a row, None where it has none."""
+    """Pack a value in the data type of a row; None if there is no value."""
     if not row.format:
         return row.initial if isinstance(value, str) else None
     if row.real:

@@ -2,7 +2,7 @@
 
 Source: ESC data sheet, section I (frame processing order, loops, link detection): a frame goes
 port 0 - processing unit - port 3 - port 1 - port 2 - port 0, and a port without a link is a loop.
-`exchange` takes a frame and a time and gives the frame back; no clock, no socket, no thread.
+`exchange` takes a frame and a time, and returns the frame.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,48 +20,48 @@ from .controller.process_image import ProcessImage
 from .controller.record import ENTRANCES, ESC, NEVER, PORTS, SII_BYTES, Event
 from .controller.registers import RESET, R
 
-HOP = 600  # ns from one slave to the next, one way (inferred: about what an ET1100 takes)
+HOP = 600  # ns from one slave to the next, one way (inferred: about the delay of an ET1100)
 NEXT_PORT = {0: 3, 3: 1, 1: 2, 2: 0}
-FIRST, SECOND = -1, -2  # the master's ports, where slaves have their numbers
-NOWHERE = -3  # a frame does not come back
-SERVED = 0x7FFFFFFF & ~Event.PROCESS_DATA  # events that the services look at
-AUTO, AUTO_CLOSE, OPEN, CLOSED = range(4)  # of a port in 0101h
-LINKS = {"broken": Key(str, True), "held": Key(str, True)}  # of a snapshot
-ADDRESSES = ("axis", "rpdos", "tpdos")  # fields that another process has elsewhere
-LATEST = 1 << 60  # of a time that is given (ns): 36 years
-SLOWEST = 1_000_000_000  # ns of a hop
-PPB = 1_000_000  # deviation of a crystal, at most (1e-9)
+FIRST, SECOND = -1, -2  # the master's ports, in place of the number of a slave
+NOWHERE = -3  # the frame does not return
+SERVED = 0x7FFFFFFF & ~Event.PROCESS_DATA  # events that concern the services
+AUTO, AUTO_CLOSE, OPEN, CLOSED = range(4)  # loop control of a port in 0101h
+LINKS = {"broken": Key(str, True), "held": Key(str, True)}  # state in a snapshot
+ADDRESSES = ("axis", "rpdos", "tpdos")  # fields that are valid in one process only
+LATEST = 1 << 60  # latest time that is accepted (ns): 36 years
+SLOWEST = 1_000_000_000  # longest hop (ns)
+PPB = 1_000_000  # largest deviation of a crystal (1e-9)
 CLOCKS_APART = 1_000_003_000  # ns between the local clocks of two neighbours at power-on
 
 
 class Station(Protocol):
-    """What stands behind a slave controller: the services of a drive."""
+    """The services of a drive behind a slave controller."""
 
     drive: Any
     sii: bytes
     esc: dict[int, bytes]
 
     def attach(self, pdi: Pdi, image: ProcessImage) -> None:
-        """Take over the controller, at power-on."""
+        """Connect the services to their controller."""
 
     def serve(self, events: int, now: int) -> None:
-        """Answer what has happened."""
+        """Process events (bits of `Event`) at `now` (ns)."""
 
     def power_on(self) -> None:
-        """Begin anew."""
+        """Restart after the controller has been powered on."""
 
     @property
     def state(self) -> Any:
         """State of the AL state machine."""
 
     def fail(self, code: int, state: Any = ...) -> None:
-        """Retreat to a state, SAFE_OPERATIONAL if not given, with an AL status code."""
+        """Retreat to a state, by default SAFE_OPERATIONAL, with an AL status code."""
 
     def snapshot(self) -> bytes:
-        """All the services know."""
+        """Return the state of the services."""
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was."""
+        """Continue from a snapshot."""
 
 
 class End(NamedTuple):
@@ -75,16 +75,16 @@ class Segment:
     """Slaves on a wire.
 
     Args:
-        stations: what stands behind the slaves, in the order of their processing units.
-        hop: from one slave to the next, one way (ns).
-        links: pairs of (slave, port); a line if not given, from port 1 to port 0 of the next. The
-            master is slave -1, its second port -2.
-        ring: the last slave leads back to the master's second port (redundancy).
-        clocks: deviation of the slaves' crystals (1e-9), 0 if not given.
+        stations: the services behind the slaves, in the order of their processing units.
+        hop: delay from one slave to the next, one way (ns).
+        links: pairs of (slave, port); by default a line from port 1 to port 0 of the next slave.
+            The master is slave -1, its second port -2.
+        ring: the last slave is connected to the master's second port (redundancy).
+        clocks: deviation of the slaves' crystals (1e-9), by default 0.
 
     Raises:
-        ValueError: a link to a port that is none or has one already, a SII that does not fit, a
-            `hop` or deviation out of range.
+        ValueError: a link to a port that does not exist or has a link already, a SII that does not
+            fit, a `hop` or deviation out of range.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Segment:
         self._held: set[End] = set()  # closed until 0101h is written (AUTO_CLOSE)
         self.exits = [FIRST, SECOND]
         self._walks = [(np.zeros(0, np.int64), np.zeros(0, np.int64))] * ENTRANCES
-        self.frame = np.zeros(2048, np.uint8)  # that passes; `pass_frame` works on it in place
+        self.frame = np.zeros(2048, np.uint8)  # `pass_frame` changes it in place
         self._sent = np.zeros(2048, np.uint8)
         self._touched = np.zeros(n, np.uint8)
         self._requests: list[int] = []
@@ -127,7 +127,7 @@ class Segment:
     # ------------------------------------------------------------------ power
 
     def _power_on(self, i: int, now: int) -> None:
-        """Registers as after a reset, the configuration area loaded, services at the start."""
+        """Reset registers, load the configuration area and restart the services."""
         record = self.escs[i]
         sii, size = record["sii"].copy(), int(record["sii_size"])
         self.escs[i : i + 1] = np.zeros(1, ESC)
@@ -136,8 +136,8 @@ class Segment:
         for address, value in self.stations[i].esc.items():
             record["memory"][address : address + len(value)] = np.frombuffer(value, np.uint8)
         record["clock_now"], record["clock_local"] = now, i * CLOCKS_APART
-        record["clock_ppb"], record["clock_seed"] = self.clocks[i], i + 1
-        for name in ("watchdog_at", "pdi_watchdog_at", "sync0_at", "sync1_at"):
+        record["clock_ppb"] = self.clocks[i]
+        for name in ("watchdog_at", "sync0_at", "sync1_at"):
             record[name] = NEVER
         record["port_time"] = -1
         record["present"] = 1
@@ -148,13 +148,13 @@ class Segment:
         self.stations[i].power_on()
 
     def _place(self, slave: int) -> int:
-        """A slave by its number. Raises ValueError where it is not there."""
+        """Return the number of a slave. Raises ValueError if there is no such slave."""
         return whole("slave", slave, 0, len(self) - 1)
 
     def power(self, slave: int, on: bool, now: int = 0) -> None:
-        """Switch a slave off (its neighbours lose their links) or on again; the SII is kept.
+        """Switch a slave off, so that its neighbours lose their links, or on again; keeps the SII.
 
-        Raises ValueError for a slave that is not there.
+        Raises ValueError if there is no such slave.
         """
         self._place(slave)
         if on:
@@ -165,7 +165,7 @@ class Segment:
     # ------------------------------------------------------------------ links
 
     def break_link(self, slave: int, port: int = 1) -> None:
-        """Cut the cable at a port. Raises ValueError where there is none."""
+        """Break the cable at a port. Raises ValueError if there is none."""
         for end in self.cable(slave, port) - self._broken:
             if end.slave >= 0:
                 lost = self.escs["memory"][end.slave]
@@ -174,12 +174,12 @@ class Segment:
         self._rewire()
 
     def heal_link(self, slave: int, port: int = 1) -> None:
-        """Mend the cable at a port. Raises ValueError where there is none."""
+        """Repair the cable at a port. Raises ValueError if there is none."""
         self._broken -= self.cable(slave, port)
         self._rewire()
 
     def cable(self, slave: int, port: int) -> set[End]:
-        """Both ends of the cable at a port. Raises ValueError where there is none."""
+        """Return both ends of the cable at a port. Raises ValueError if there is none."""
         here = End(whole("slave", slave, SECOND, len(self) - 1), whole("port", port, 0, PORTS - 1))
         if here not in self._peer:
             cables = [str(end.port) for end in sorted(self._peer) if end.slave == slave]
@@ -201,7 +201,7 @@ class Segment:
         return control == OPEN or (control != CLOSED and self._linked(end))
 
     def _rewire(self) -> None:
-        """Look where frames go now, and tell it in 0110h."""
+        """Update the paths of frames, and show the links in 0110h."""
         for i in range(len(self)):
             memory = self.escs["memory"][i]
             status = int(memory[R.DL_STATUS]) & 0x0F
@@ -221,7 +221,7 @@ class Segment:
             self._walks[entrance] = self._walk(entrance)
 
     def _walk(self, entrance: int) -> tuple[np.ndarray, np.ndarray]:
-        """Slaves in the order of their processing units, and when a frame is there (ns)."""
+        """Return slaves in the order of processing, and the time to each of them (ns)."""
         self.escs["port_time"][:, entrance] = -1
         slaves: list[int] = []
         times: list[int] = []
@@ -241,7 +241,7 @@ class Segment:
                 if self._open(End(at, port)):
                     break
             else:
-                port = 0  # the recovery port, where all are closed (data sheet, section I)
+                port = 0  # all are closed: port 0 is the recovery port (data sheet, section I)
             peer = self._peer.get(End(at, port))
             if peer is None or not self._linked(End(at, port)):
                 break  # an open port without a cable swallows the frame
@@ -254,10 +254,7 @@ class Segment:
     # ----------------------------------------------------------------- frames
 
     def pass_frame(self, length: int, now: int, port: int = 0) -> bool:
-        """Let the frame in ``frame[:length]`` pass; -> whether it comes back.
-
-        It comes back at the master's port ``exits[port]``.
-        """
+        """Let the frame in ``frame[:length]`` pass; -> whether it returns, at ``exits[port]``."""
         slaves, times = self._walks[port]
         events = esc.exchange(self.escs, slaves, times, port, self.frame, length, self._sent, now)
         if events & SERVED:
@@ -265,15 +262,15 @@ class Segment:
         return not events & esc.NO_REPLY and self.exits[port] != NOWHERE
 
     def exchange(self, frame: bytes, now: int, port: int = 0) -> bytes | None:
-        """Send a frame into the segment; -> what comes back of it, None for nothing.
+        """Send a frame into the segment; -> the frame that returns, None if it is lost.
 
         Args:
             frame: Ethernet frame without its check sequence.
-            now: when it is sent (ns).
-            port: of the master, 0 or 1.
+            now: time of sending (ns).
+            port: port of the master, 0 or 1.
 
         Raises:
-            ValueError: no bytes, a time or port that is none.
+            ValueError: not bytes, or an invalid time or port.
         """
         length = len(octets("frame", frame))
         whole("now", now, -LATEST, LATEST, "ns")
@@ -286,7 +283,7 @@ class Segment:
         return self.frame[:length].tobytes()
 
     def serve(self, now: int) -> None:
-        """Let the services of those slaves answer that have events."""
+        """Let the services of the slaves that have events process them."""
         for i in np.flatnonzero(self.escs["events"] & SERVED).tolist():
             events = self.pdis[i].take_events()
             if events & Event.PORTS:
@@ -302,55 +299,53 @@ class Segment:
     # ------------------------------------------------------------------- time
 
     def poll(self, now: int) -> None:
-        """Edges of SYNC0 and watchdogs that are due by `now` (ns). Raises ValueError for none."""
+        """Process edges of SYNC0 and watchdogs up to `now` (ns). Raises ValueError if invalid."""
         whole("now", now, -LATEST, LATEST, "ns")
         if esc.poll(self.escs, now) & SERVED:
             self.serve(now)
 
     @property
     def next_time(self) -> int:
-        """When `poll` has something to do next (ns)."""
+        """The next time at which `poll` has something to do (ns)."""
         return int(esc.next_time(self.escs))
 
     def synchronised(self, slave: int) -> bool:
-        """Whether a drive runs at the edges of SYNC0, which has to be on for it."""
+        """Whether a drive runs at the edges of SYNC0."""
         return bool(esc.synchronised(self.escs, slave))
 
     def publish(self, now: int) -> None:
-        """Give the inputs of all drives to their sync managers, after their cycles."""
+        """Copy the inputs of all drives to their sync managers, after their cycles."""
         if process_image.publish(self.escs) & SERVED:
             self.serve(now)
 
     def touched(self) -> list[int]:
-        """Slaves whose process data were exchanged since the last call."""
+        """Return the slaves that exchanged process data since the last call."""
         if not esc.take_process_data(self.escs, self._touched):
             return []
         return np.flatnonzero(self._touched).tolist()
 
     @property
     def requested(self) -> list[int]:
-        """Slaves that got a mailbox since `take_requests`."""
+        """Slaves that received a mailbox telegram since the last `take_requests`."""
         return self._requests
 
     def take_requests(self) -> list[int]:
-        """Slaves that got a mailbox since the last call, once for each."""
+        """Return the slaves of the mailbox telegrams received since the last call."""
         requests, self._requests = self._requests, []
         return requests
 
     def take_clocked(self) -> list[int]:
-        """Slaves whose SYNC unit a master has set since the last call."""
-        if not self._clocked:
-            return self._clocked
+        """Return the slaves whose SYNC unit a master has written since the last call."""
         clocked, self._clocked = self._clocked, []
         return clocked
 
     def latch(self, slave: int, unit: int, rising: bool, now: int) -> None:
-        """An edge at latch input 0 or 1 of a slave (09A8h). Raises ValueError for another."""
+        """Process an edge at latch input 0 or 1 of a slave (09A8h). Raises ValueError."""
         whole("now", now, -LATEST, LATEST, "ns")
         esc.latch(self.escs, self._place(slave), now, whole("unit", unit, 0, 1), bool(rising))
 
     def warm_up(self) -> None:
-        """Compile all there is, so that the first frame is answered in time."""
+        """Compile all functions, so that the first frame is answered in time."""
         kept = self.escs.copy()
         self.exchange(bytes(16), 0)
         self.poll(0)
@@ -365,9 +360,10 @@ class Segment:
     # --------------------------------------------------------------- snapshot
 
     def snapshot(self, *, drives: bool = True) -> bytes:
-        """Everything the segment is, as bytes; `restore` continues bit by bit the same.
+        """Return the whole state as bytes; after `restore` the segment continues bit by bit alike.
 
-        Without `drives` theirs is left out, for one who has it in the snapshot of a machine.
+        Args:
+            drives: include the drives; leave them out if the snapshot of a machine has them.
         """
         escs = self.escs.copy()
         for name in ADDRESSES:
@@ -381,7 +377,7 @@ class Segment:
 
     @property
     def _identity(self) -> dict[str, Any]:
-        """Whose a snapshot is."""
+        """The identity of this segment in a snapshot."""
         models = [getattr(station.drive, "model", None) for station in self.stations]
         return {
             "kind": "segment",
@@ -391,10 +387,10 @@ class Segment:
         }
 
     def restore(self, snapshot: bytes) -> None:
-        """Become what `snapshot` was.
+        """Continue from a snapshot.
 
         Raises:
-            ValueError: it is none, damaged, or of another segment or version; nothing is changed.
+            ValueError: not a snapshot, damaged, or of another segment or version; nothing changes.
         """
         sizes = [self.escs.nbytes, *[None] * (2 * len(self.stations))]
         links, parts = unseal(snapshot, self._identity, LINKS, sizes)

@@ -1,4 +1,4 @@
-"""A bus of python-can on which frames are lost, delayed or doubled, for a served machine."""
+"""A python-can bus with injected faults, for a served machine."""
 
 import time
 from collections import deque
@@ -8,19 +8,18 @@ import numpy as np
 
 from ..canopen.faulty import Faults, Faulty
 from ..canopen.frame import Frame
-from .bus import to_frame, to_message
-from .can_link import CanLink
+from .bus import CanLink, to_frame, to_message
 
-WAIT = 5e-4  # s for a frame
+WAIT = 5e-4  # s, to wait for a frame
 
 
 class BadBus:
-    """What a server sees of a bad bus: `recv` and `send` of the good one, with faults.
+    """Wraps `recv` and `send` of a bus and injects faults.
 
     Args:
-        bus: the good one; `shutdown` ends it.
-        faults: what happens how often, see `servogym.drive.canopen.faulty.Faults`.
-        seed: of what happens to which frame.
+        bus: the bus that is wrapped; `shutdown` closes it.
+        faults: probabilities of the faults.
+        seed: seed of the faults.
     """
 
     def __init__(self, bus: can.BusABC, faults: Faults, seed: int):
@@ -30,16 +29,16 @@ class BadBus:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How often each fault has happened."""
+        """Number of occurrences of each fault."""
         return self._bad.counts
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
-        """Send a message, if it survives."""
+        """Send a message, subject to the faults."""
         if frame := to_frame(message):
             self._bad.send(frame, time.monotonic_ns() // 1000)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next message that has survived; None after `WAIT` at the latest."""
+        """Return the next message after the faults; None after `WAIT` at the latest."""
         if not self._waiting:
             self._waiting.extend(self._bad.receive(time.monotonic_ns() // 1000))
         return to_message(self._waiting.popleft()) if self._waiting else None

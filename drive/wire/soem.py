@@ -3,37 +3,37 @@
 >>> master = SoemMaster("eth0")
 >>> axis = Master(EtherCatPort(master, {"x": "kollmorgen_akd"}, now=time.monotonic))
 
-It has what `drive.ethercat.port.EtherCatPort` needs of `drive.ethercat.master.EtherCatMaster`, so a
-program that moves an emulated drive in memory moves a real one with the same calls.
+Its methods are those of `drive.ethercat.master.EtherCatMaster`, so that a program moves an emulated
+drive in memory and a real one with the same calls.
 """
 
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
 from ..ethercat.al import AlState
 from ..ethercat.esi_reader import EsiObject
+from ..ethercat.port import SlaveSide
 from ..objects.abort import SdoAbort
 from .ethernet import raw_socket
 
 TIMEOUT = 0.1  # s, for the reply to process data
-ANSWER = 2e-3  # s, for the reply to any other frame; SOEM then gives it up, and reuses its number
+ANSWER = 2e-3  # s, for the reply to any other frame, before SOEM reuses its index
 STATE_TIMEOUT = 5_000_000  # µs
-AGAIN = 2  # times that a lost frame is sent anew
+AGAIN = 2  # repetitions of a lost frame
 TRIES = 200  # cycles until all are in OPERATIONAL
-ASSIGNMENTS = (0x1C12, 0x1C13)
 INPUTS = 0x0818  # register: start and length of sync manager 3
 VISIBLE_STRING = 0x09
 FLOATS = {0x08: "<f", 0x11: "<d"}  # data types of CiA 301
 
 
 def check_access(interface: str) -> None:
-    """Find out, before anything slow, whether a `SoemMaster` can open an interface.
+    """Check, before anything slow, whether a `SoemMaster` can open an interface.
 
     Raises:
         ImportError: pysoem is not installed.
-        ValueError: no such interface, or no right to raw sockets, with the remedy.
+        ValueError: no such interface, or no permission for raw sockets; with the remedy.
     """
     _library()
     raw_socket(interface).close()
@@ -49,23 +49,23 @@ def _library() -> Any:
 
 
 class SoemMailbox:
-    """SDO of one slave, with the errors of the house."""
+    """SDO transfers of one slave, with the exceptions of `mailbox_client.MailboxClient`."""
 
     def __init__(self, soem: Any, slave: Any):
         self._soem = soem
         self._slave = slave
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object. Raises SdoAbort, TimeoutError."""
+        """Read the bytes of an object. Raises SdoAbort, TimeoutError."""
         return self._tried(index, subindex, lambda: self._slave.sdo_read(index, subindex))
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object. Raises SdoAbort, TimeoutError."""
+        """Write the bytes of an object. Raises SdoAbort, TimeoutError."""
         self._tried(index, subindex, lambda: self._slave.sdo_write(index, subindex, bytes(data)))
 
     def _tried(self, index: int, subindex: int, action: Any) -> Any:
         try:
-            for _ in range(AGAIN):  # SOEM gives a frame up after 2 ms
+            for _ in range(AGAIN):  # SOEM waits 2 ms for an answer
                 with suppress(self._soem.WkcError, self._soem.PacketError):
                     return action()
             return action()
@@ -76,19 +76,19 @@ class SoemMailbox:
                 f"{index:04X}h:{subindex:02X}h: no answer ({type(error).__name__}); "
                 "is the slave in PRE_OP or higher?"
             ) from None
-        except Exception as error:  # one of SOEM's list, of a telegram before this one
+        except Exception as error:  # from SOEM's error list, about an earlier telegram
             if not str(error).startswith("unexpected error"):
                 raise
             raise TimeoutError(f"{index:04X}h:{subindex:02X}h: {error}") from None
 
 
-class SoemSlave:
-    """One slave as SOEM found it."""
+class SoemSlave(SlaveSide):
+    """A slave that SOEM has found."""
 
     def __init__(self, soem: Any, slave: Any, answer: int = round(1e6 * ANSWER)):
         self._soem = soem
         self._slave, self._answer = slave, answer  # µs
-        self.emergencies: list[Any] = []  # since the beginning; else a reading would raise them
+        self.emergencies: list[Any] = []  # without a callback, SOEM would raise them
         slave.add_emergency_callback(self.emergencies.append)
         self.mailbox = SoemMailbox(soem, slave)
         self.outputs = bytearray()
@@ -97,85 +97,66 @@ class SoemSlave:
 
     @property
     def state(self) -> AlState:
-        """State without the error bit; INIT where the slave does not answer."""
-        for _ in range(AGAIN + 1):  # of a lost answer SOEM says the state 0
+        """State without the error bit; INIT if the slave does not answer."""
+        for _ in range(AGAIN + 1):  # SOEM reports a lost answer as state 0
             self._slave.state_check(0, 0)
             if self._slave.state & 0x0F:
                 break
         return AlState(self._slave.state & 0x0F or AlState.INIT)
 
     def request(self, state: int) -> None:
-        """Ask for a state, which it takes as soon as it can."""
+        """Request a state without waiting for it."""
         self._slave.state = state
         self._slave.write_state()
 
-    def upload(self, index: int, subindex: int = 0) -> int:
-        """A number. Raises SdoAbort where the drive refuses."""
-        return int.from_bytes(self.mailbox.upload(index, subindex), "little")
-
-    def assign(self, rpdos: Iterable[int], tpdos: Iterable[int]) -> None:
-        """PDOs of sync managers 2 and 3 (1C12h, 1C13h)."""
-        for index, pdos in zip(ASSIGNMENTS, ([*rpdos], [*tpdos]), strict=True):
-            self.mailbox.download(index, 0, b"\0")
-            for n, pdo in enumerate(pdos, 1):
-                self.mailbox.download(index, n, pdo.to_bytes(2, "little"))
-            self.mailbox.download(index, 0, bytes([len(pdos)]))
-
     def exchanged(self) -> None:
-        """Take the inputs of the last cycle."""
+        """Store the inputs of the last cycle."""
         self.inputs = bytes(self._slave.input)
 
     def prepare(self) -> None:
-        """Give the outputs to the next cycle."""
+        """Pass the outputs to the next cycle."""
         if self.outputs:
             self._slave.output = bytes(self.outputs)
 
     def sized(self) -> None:
-        """Buffers as long as SOEM has mapped."""
+        """Set the buffers to the sizes that SOEM has mapped."""
         self.outputs = bytearray(bytes(self._slave.output))
         self.inputs = bytes(self._slave.input)
         self._buffer = struct.unpack("<HH", self.read(INPUTS, 4))
 
     def read(self, address: int, size: int) -> bytes:
-        """Registers of the slave controller. Raises TimeoutError where it does not answer."""
+        """Read registers of the slave controller. Raises TimeoutError if it does not answer."""
         for _ in range(AGAIN + 1):
-            try:
-                return bytes(self._slave._fprd(address, size, self._answer))
-            except self._soem.WkcError:
-                continue
+            if (data := self.fprd(address, size, self._answer)) is not None:
+                return data
         raise TimeoutError(f"the slave does not answer at {address:04X}h")
 
     def read_inputs(self) -> bytes:
-        """The input buffer. Raises TimeoutError where the slave does not answer."""
+        """Read the input buffer. Raises TimeoutError if the slave does not answer."""
         start, length = self._buffer or (0, 0)
         return self.read(start, length) if length else b""
 
     def fprd(self, address: int, size: int, timeout: int) -> bytes | None:
-        """Registers, None where no slave answered within the timeout (µs)."""
+        """Read registers; None if the slave does not answer within the timeout (µs)."""
         try:
             return bytes(self._slave._fprd(address, size, timeout))
         except self._soem.WkcError:
             return None
 
     def fpwr(self, address: int, data: bytes, timeout: int) -> bool:
-        """Write registers; -> whether a slave has taken them within the timeout (µs)."""
+        """Write registers; -> whether the slave has confirmed it within the timeout (µs)."""
         try:
             self._slave._fpwr(address, data, timeout)
         except self._soem.WkcError:
             return False
         return True
 
-    def read_sii(self) -> bytes:
-        """The whole EEPROM, as long as its size word says."""
-        image, size = b"", 128
-        while len(image) < size:
-            image += self._slave.eeprom_read(len(image) // 2)[:4]
-            if len(image) == 128:
-                size = min((int.from_bytes(image[124:126], "little") + 1) * 128, 1 << 16)
-        return image[:size]
+    def read_words(self, word: int) -> bytes:
+        """Read 4 bytes of the EEPROM."""
+        return self._slave.eeprom_read(word)[:4]
 
     def objects(self) -> "Iterator[EsiObject]":
-        """Its dictionary by SDO information with the values it has; none where it has no such."""
+        """Read the dictionary by SDO information, with values; nothing if it is not offered."""
         try:
             dictionary = self._slave.od
         except (self._soem.SdoInfoError, self._soem.WkcError, self._soem.PacketError):
@@ -216,14 +197,14 @@ class SoemMaster:
     """Commands the slaves at a network interface.
 
     Args:
-        interface: such as ``eth0``; needs the right of raw sockets.
+        interface: name, such as ``eth0``; needs the permission for raw sockets.
         second: interface of the second port (redundancy).
-        timeout: for the reply to process data (s); more than `TIMEOUT` where slaves let no time
-            pass before it. No other frame is given up before either: 16 frames later its reply
-            would count as that of another one.
+        timeout: for the reply to process data (s). If it is longer than `TIMEOUT`, as for slaves
+            that simulate before they answer, it applies to all frames, because after 16 frames
+            SOEM would take a late reply for that of another frame.
 
     Raises:
-        ImportError: pysoem is not there.
+        ImportError: pysoem is not installed.
         ConnectionError: the interface cannot be opened.
     """
 
@@ -231,11 +212,11 @@ class SoemMaster:
         self._timeout = round(1e6 * timeout)  # µs
         self._answer = round(1e6 * ANSWER) if timeout <= TIMEOUT else self._timeout
         self._soem = pysoem = _library()
-        pysoem.settings.timeouts.ret = self._answer  # of the process
+        pysoem.settings.timeouts.ret = self._answer  # applies to the whole process
         self._master = pysoem.Master()
         self.slaves: list[SoemSlave] = []
-        self.wrong = 0  # cycles with a working counter that was not expected
-        self._under_way = False  # process data whose answer has not been taken
+        self.wrong = 0  # cycles that were lost or had a wrong working counter
+        self._under_way = False  # process data whose answer has not been received
         try:
             self._master.open(interface, *([second] if second else []))
         except ConnectionError as error:
@@ -248,20 +229,20 @@ class SoemMaster:
 
     def scan(self) -> list[SoemSlave]:
         """Find the slaves; they are in PRE_OPERATIONAL."""
-        for _ in range(AGAIN + 1):  # a scan whose first frame is lost finds nothing
+        for _ in range(AGAIN + 1):  # a scan finds nothing if its first frame is lost
             if self._master.config_init() > 0:
                 break
         self.slaves = [SoemSlave(self._soem, s, self._answer) for s in self._master.slaves]
         return self.slaves
 
     def to_preop(self) -> None:
-        """SOEM's scan has done it."""
+        """Do nothing, because SOEM's scan does it."""
 
     def to_op(self, prepare: Callable[[], object] = lambda: None) -> None:
-        """Map process data and go to OPERATIONAL. Raises RuntimeError where a slave refuses.
+        """Map process data and go to OPERATIONAL. Raises RuntimeError if a slave refuses.
 
         Args:
-            prepare: fills the outputs, before the first of them go out.
+            prepare: fills the outputs before they are first sent.
         """
         if all(slave.state == AlState.OPERATIONAL for slave in self.slaves):
             prepare()
@@ -269,7 +250,7 @@ class SoemMaster:
         self._master.config_map()
         reached = self._master.state_check(self._soem.SAFEOP_STATE, STATE_TIMEOUT)
         if reached != self._soem.SAFEOP_STATE:
-            raise RuntimeError(f"SAFE_OP is not reached: {self._told()}")
+            raise RuntimeError(f"SAFE_OP is not reached: {self._reasons()}")
         for slave in self.slaves:
             slave.sized()
         prepare()
@@ -279,7 +260,7 @@ class SoemMaster:
         self._reach_op()
 
     def recover(self) -> None:
-        """Slaves that a watchdog has taken out of OPERATIONAL go back to it."""
+        """Bring slaves back to OPERATIONAL after a watchdog error."""
         fallen = [s for s in self.slaves if s.state != AlState.OPERATIONAL]
         if not fallen:
             return
@@ -295,9 +276,9 @@ class SoemMaster:
             self.cycle()
             if self._master.state_check(self._soem.OP_STATE, 1000) == self._soem.OP_STATE:
                 return
-        raise RuntimeError(f"OP is not reached: {self._told()}")
+        raise RuntimeError(f"OP is not reached: {self._reasons()}")
 
-    def _told(self) -> str:
+    def _reasons(self) -> str:
         self._master.read_state()
         text = self._soem.al_status_code_to_string
         return "; ".join(f"{s.name}: {text(s.al_status)}" for s in self._master.slaves)
@@ -308,7 +289,7 @@ class SoemMaster:
         return self._receive()
 
     def send_process_data(self) -> None:
-        """Send process data and do not wait: their answer is taken by what follows."""
+        """Send process data; the next call of a method here receives the answer."""
         self._receive()
         for slave in self.slaves:
             slave.prepare()
@@ -327,10 +308,10 @@ class SoemMaster:
         return right
 
     def look(self) -> bool:
-        """Read the inputs alone, slave by slave; -> whether all have answered.
+        """Read the inputs only, slave by slave; -> whether all have answered.
 
-        SOEM has no logical read beside its frame of process data, and that would carry outputs: so
-        each slave's own buffer is read (sync manager 3, 0818h).
+        SOEM's only logical frame would carry outputs, so the input buffer of each slave (sync
+        manager 3, 0818h) is read instead.
         """
         self._receive()
         right = True
@@ -343,7 +324,7 @@ class SoemMaster:
         return right
 
     def close(self) -> None:
-        """Take the slaves to INIT and let the interface go."""
+        """Take the slaves to INIT and close the interface."""
         self._master.state = self._soem.INIT_STATE
         self._master.write_state()
         self._master.close()

@@ -14,7 +14,7 @@ from ...drive.ethercat.faulty import FaultyBus
 from ...drive.ethercat.segment import Segment
 from ...drive.ethercat.slave import Slave
 from ...drive.wire.bad_bus import BadBus
-from ...drive.wire.can_link import CanLink, Traced
+from ...drive.wire.bus import CanLink, Traced
 from ...drive.wire.ethercat import EtherCatServer, Port
 from ...drive.wire.ethernet import RawPort, UdpPort
 from ...drive.wire.interfaces import opened

@@ -17,8 +17,7 @@ from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.remote import CanOpenPort
 from servogym.drive.kernel.words import Mode, State
 from servogym.drive.master import BusError, Master, ServoError
-from servogym.drive.wire.bus import CanPort, to_frame, to_message
-from servogym.drive.wire.can_link import CanLink, Traced
+from servogym.drive.wire.bus import CanLink, CanPort, Traced, to_frame, to_message
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
 from servogym.training.cli.status import Line

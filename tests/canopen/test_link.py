@@ -10,7 +10,7 @@ from servogym.drive.canopen.bit_time import crc15, length, priority, stuff_bits,
 from servogym.drive.canopen.faulty import Faults, Faulty
 from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.link import QUEUE, Loopback
-from servogym.drive.wire.can_link import CanLink, Traced
+from servogym.drive.wire.bus import CanLink, Traced
 
 FRAMES = st.one_of(
     st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans()),

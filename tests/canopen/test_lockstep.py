@@ -13,8 +13,7 @@ from servogym.drive.canopen.frame import Frame, parse
 from servogym.drive.canopen.link import Loopback
 from servogym.drive.canopen.lockstep import LockStep
 from servogym.drive.kernel.words import Mode, State
-from servogym.drive.wire.bus import to_message
-from servogym.drive.wire.can_link import CanLink, Traced
+from servogym.drive.wire.bus import CanLink, Traced, to_message
 from servogym.training.bench.can import axis_in_csp
 
 PERIOD = 1000  # µs

@@ -41,8 +41,8 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="raw soc
         (["--udp", "--fault", "break_link port=4"], "fault break_link: port = 4 is not a whole"),
         (["--udp", "--fault", "explode"], "fault 'explode': choose one of drop, "),
         (["--udp", "--fault", "drop at=noon:1"], "at=noon:1: give one of frame, "),
-        (["--udp", "--fault", "drop when=1"], "'when' is unknown, use of "),
-        (["--udp", "--fault", "drop count=1 count=2"], "'count' is there twice"),
+        (["--udp", "--fault", "drop when=1"], "'when' is unknown: use "),
+        (["--udp", "--fault", "drop count=1 count=2"], "'count' is given twice"),
     ],
 )
 def test_a_mistake_is_one_line_that_says_the_next_step(refused, arguments, says):

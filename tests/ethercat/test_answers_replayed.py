@@ -12,13 +12,14 @@ from servogym.drive.ethercat.bus import Bus
 from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.replay import Replay, exchanges, slaves_of
 from servogym.drive.model.model import load
+from servogym.drive.objects.abort import SdoAbort
 from servogym.drive.score import Verdict
 from servogym.drive.wire.pcapng import Writer
 from servogym.envs.plants.catalogue import axis_for, ethercat_line
 from servogym.training.cli import main
 
 READ = [(0x1000, 0), (0x1018, 1), (0x1018, 4), (0x605A, 0), (0x6065, 0), (0x6081, 0), (0x6083, 0),
-        (0x6098, 0), (0x6041, 0), (0x6064, 0), (0x5FFF, 0)]
+        (0x6098, 0), (0x6041, 0), (0x6064, 0)]
 PLANTED = {(0x605A, 0): "6", (0x6065, 0): "4711", (0x6083, 0): "4712", (0x1018, 1): "0xABC"}
 MS = 1_000_000
 
@@ -47,9 +48,9 @@ def session(model, axis="none", slaves=1):
     master.slaves[0].read(0x0002, 2)
     master.to_preop()
     for index, subindex in READ:
-        master.refused(master.slaves[0], index, subindex, b"") if index == 0x5FFF else (
-            master.slaves[0].mailbox.upload(index, subindex)
-        )
+        master.slaves[0].mailbox.upload(index, subindex)
+    with pytest.raises(SdoAbort):
+        master.slaves[0].mailbox.download(0x5FFF, 0, b"")
     master.synchronise()
     master.map()
     master.to_op()
@@ -175,7 +176,7 @@ def can_session(model):
     node, rows = Node(machine.drives["x"], 5), []
     requests = {
         10 * n: Frame(0x605, bytes([0x40]) + i.to_bytes(2, "little") + bytes([s, 0, 0, 0, 0]))
-        for n, (i, s) in enumerate(READ, 1)
+        for n, (i, s) in enumerate([*READ, (0x5FFF, 0)], 1)
     } | {200: Frame(0x605, bytes.fromhex("2B17100014000000")), 210: Frame(0, b"\1\5")}
     for tick in range(600):
         now = tick * 1000

@@ -11,6 +11,7 @@ from servogym.drive.ethercat.frame import Command, Datagram, pack
 from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
+from servogym.drive.objects.abort import SdoAbort
 from servogym.drive.wire.pcapng import Writer, read
 from servogym.training.cli import main
 
@@ -42,7 +43,8 @@ def capture(tmp_path_factory):
     (slave,) = master.slaves
     slave.assign([0x1724], [0x1B24])
     slave.mailbox.upload(0x1008)
-    master.refused(slave, 0x1000, 0, bytes(4))
+    with pytest.raises(SdoAbort):
+        slave.mailbox.download(0x1000, 0, bytes(4))
     master.map()
     master.to_op()
     drive = wire.bus.segment.stations[0].drive

@@ -235,7 +235,7 @@ def test_any_start_time_is_borne(start, ppb):
 @pytest.mark.parametrize(
     ("clock", "when", "says"),
     [
-        ("frame", "before", "a master that steers by the DC time needs --clock dc"),
+        ("frame", "before", "a master that aligns its cycle with the DC time needs --clock dc"),
         ("frame", "behind", "set it in PRE_OP, then request SAFE_OP"),
         ("dc", "behind", "set it in PRE_OP, then request SAFE_OP"),
         ("real", "behind", "set it in PRE_OP, then request SAFE_OP"),

@@ -403,7 +403,10 @@ def test_process_data_watchdog_bites_once(one_slave):
 
 def test_frames_as_text():
     frame = pack(
-        [Datagram(C.FPRD, 0x1001, 0x0130, b"\2\0", 1), logical(C.LRW, 0x10000, b"\xaa", 7)]
+        [
+            Datagram(C.FPRD, 0x1001, 0x0130, b"\2\0", 1),
+            logical(C.LRW, 0x10000, b"\xaa")._replace(index=7),
+        ]
     )
     assert text(frame) == "FPRD 1001:0130 [2] 0200 wkc 1 | LRW  00010000 [1] aa wkc 0"
     # destination, source, type 88A4h, 1 << 12 | 27 bytes; FPRD, index, 1001h, 0130h, more | 2, irq

@@ -1,10 +1,10 @@
 """Distributed clocks of a slave controller: local time, drift loop, SYNC0 and SYNC1, latch.
 
-Source: ESC data sheet, section I (distributed clocks) and registers 0900h-09CFh. The crystal runs
-`clock_ppb` off; the drift loop adds `drift_ppb`, so local and system time are pulled together. A
-proportional and an integral part stand for the speed counter of the hardware (inferred). Documented
-are the filter 0934h of the difference shown, the deviation of the clocks shown in 0932h behind the
-filter 0935h, and the reset by 0930h.
+Source: ESC data sheet, section I (distributed clocks) and registers 0900h-09CFh. The crystal
+deviates by `clock_ppb`; the drift loop adds `drift_ppb` to pull the local time towards the system
+time. A proportional and an integral part stand for the speed counter of the hardware (inferred).
+The data sheet documents the filter 0934h of the displayed difference, the deviation of the clocks
+in 0932h behind the filter 0935h, and the reset by 0930h.
 """
 
 from ...kernel.jit import block
@@ -16,28 +16,19 @@ from .registers import R
 SECOND = 1_000_000_000  # ns
 ITERATIONS = 8  # of `time_of`
 CLOCK_64 = 1 << 3  # of 0008h
-FAR = 1 << 60  # ns: 36 years; what lies further away does not come
+FAR = 1 << 60  # ns: 36 years; a time further away counts as never
 TERA = 1_000_000_000_000
-STEEPEST = 500_000  # the drift loop's correction, at most (1e-9)
-PROPORTIONAL = 50  # correction (1e-9) by a difference of 1 ns (inferred)
+STEEPEST = 500_000  # largest correction of the drift loop (1e-9)
+PROPORTIONAL = 50  # correction for a difference of 1 ns (1e-9; inferred)
 CYCLIC, SYNC0, SYNC1 = 1, 2, 4  # bits of 0981h
 
 
 @block
 def _scaled(span, ppb):
-    """`span` (ns) times `ppb`, without overflow."""
+    """Scale `span` (ns) by `ppb` without overflow."""
     if ppb == 0:
         return 0
     return (span // SECOND) * ppb + (span % SECOND) * ppb // SECOND
-
-
-@block
-def _jitter(esc):
-    if esc.clock_jitter == 0:
-        return 0
-    state = (esc.clock_seed * 1103515245 + 12345) & 0x7FFFFFFF  # of ISO C's rand
-    esc.clock_seed = state
-    return (state >> 8) % (2 * esc.clock_jitter + 1) - esc.clock_jitter
 
 
 @block
@@ -61,23 +52,23 @@ def wide(esc):
 
 @block
 def put_time(esc, at, time):
-    """A time in its registers, the lower half alone where the clock has 32 bits."""
+    """Write a time to its registers; the upper half is 0 if the clock has 32 bits."""
     put64(esc.memory, at, time if wide(esc) else time & 0xFFFFFFFF)
 
 
 @block
 def time_of(esc, system):
-    """When the slave's copy of the system time reaches `system`."""
+    """The time (ns) at which the slave's copy of the system time reaches `system`."""
     local = system - get64(esc.memory, R.SYSTEM_TIME_OFFSET)
     if not -FAR < local - esc.clock_local < FAR:
         return NEVER
     now = esc.clock_now + local - esc.clock_local
-    for _ in range(ITERATIONS):  # each leaves a share of the error as small as the rate is off
+    for _ in range(ITERATIONS):  # the error shrinks by the deviation of the rate each time
         error = local_time(esc, now) - local
         if error == 0:
             break
         now -= error
-    for _ in range(2):  # rounding: the first moment that shows this time
+    for _ in range(2):  # rounding: find the first moment that shows this time
         if local_time(esc, now - 1) >= local:
             now -= 1
         elif local_time(esc, now) < local:
@@ -87,7 +78,7 @@ def time_of(esc, system):
 
 @block
 def synchronised(esc):
-    """Whether the drive runs at the edges of SYNC0, not only the controller counts them."""
+    """Whether the drive runs at the edges of SYNC0; otherwise the controller only counts them."""
     return (
         esc.sync_mode == SyncMode.SYNC0
         and esc.inputs_on != 0
@@ -97,20 +88,19 @@ def synchronised(esc):
 
 @block
 def receive_times(esc, now, unit, entrance):
-    """Write of 0900h: keep when this frame reaches each port, and the processing unit."""
+    """Write of 0900h: latch the times at which the frame reaches ports and processing unit."""
     for port in range(PORTS):
         at = esc.port_time[entrance, port]
         if at >= 0:
-            time = local_time(esc, now + at) + _jitter(esc)
-            put32(esc.memory, R.RECEIVE_TIME + 4 * port, time)
+            put32(esc.memory, R.RECEIVE_TIME + 4 * port, local_time(esc, now + at))
     put_time(esc, R.RECEIVE_TIME_UNIT, local_time(esc, unit))
 
 
 @block
 def steer(esc, now, received, wide):
-    """Write of 0910h: compare with the own system time, correct the rate.
+    """Write of 0910h: compare with the local copy of the system time and correct the rate.
 
-    `received` is the reference clock's time (ns), its lower 32 bits where not `wide`.
+    `received` is the reference clock's time (ns), or its lower 32 bits if not `wide`.
     """
     own = system_time(esc, now)
     difference = own - received - get32(esc.memory, R.SYSTEM_TIME_DELAY)
@@ -159,7 +149,7 @@ def _speed_difference(esc):
 
 @block
 def _rounded(value, depth):
-    """A share of `value` that does not vanish before it is 0."""
+    """Divide `value` by 2 ** depth; the result is 0 only if `value` is 0."""
     step = value >> depth if value >= 0 else -(-value >> depth)
     if step == 0 and value != 0:
         return 1 if value > 0 else -1
@@ -168,7 +158,7 @@ def _rounded(value, depth):
 
 @block
 def reset_drift(esc, now):
-    """Write of 0930h, 0934h or 0935h: the filters begin anew (data sheet, 0930h)."""
+    """Write of 0930h, 0934h or 0935h: reset the filters (data sheet, 0930h)."""
     esc.clock_local = local_time(esc, now)
     esc.clock_now = now
     esc.drift_ppb = 0
@@ -180,10 +170,10 @@ def reset_drift(esc, now):
 
 @block
 def activate(esc, now):
-    """Write of the SYNC registers: begin or end the edges.
+    """Write of the SYNC registers: start or stop the edges.
 
-    A start time that has passed counts from its next whole cycle on; the hardware waits until its
-    64 bits run over (inferred: a master in a program on a loaded machine is late by chance).
+    If the start time has passed, edges start a whole number of cycles after it; the hardware would
+    wait until its 64 bits overflow (inferred: a master on a loaded computer may be late).
     """
     memory = esc.memory
     active = memory[R.ACTIVATION]
@@ -197,7 +187,7 @@ def activate(esc, now):
         return
     start = get64(memory, R.START_TIME)
     own = system_time(esc, now)
-    if not wide(esc):  # the next time, or the last, at which the lower half is this
+    if not wide(esc):  # the nearest time with these lower 32 bits
         start = own + (start - own + (1 << 31)) % (1 << 32) - (1 << 31)
     if start <= own:
         late = own - start
@@ -212,7 +202,7 @@ def activate(esc, now):
 
 @block
 def _signal(esc):
-    """What an edge shows in the registers."""
+    """Show an edge in the registers."""
     memory = esc.memory
     memory[R.AL_EVENT] |= 1 << 2
     memory[R.SYNC0_STATUS] = 1
@@ -223,9 +213,9 @@ def _signal(esc):
 
 @block
 def edge(esc, now):
-    """An edge of SYNC0: outputs that have come are taken over, those that have not are late.
+    """Process an edge of SYNC0: outputs that have arrived take effect, missing ones count as late.
 
-    Such as came less than the copy time before it wait for the next edge (ETG.1020, 1C32h).
+    Outputs that arrived less than the copy time ago wait for the next edge (ETG.1020, 1C32h).
     """
     _signal(esc)
     if esc.sync_mode == SyncMode.SYNC0:
@@ -245,7 +235,7 @@ def edge(esc, now):
 
 @block
 def _next(esc, edges):
-    """So many edges later."""
+    """Advance by a number of edges."""
     esc.sync0_count += edges
     cycle = get32(esc.memory, R.SYNC0_CYCLE)
     if cycle == 0:
@@ -260,7 +250,7 @@ def _next(esc, edges):
 
 @block
 def skip(esc, now):
-    """Edges of SYNC0 up to `now` that nobody runs at, all at once."""
+    """Pass the edges of SYNC0 up to `now` at once, for a drive that does not run at them."""
     if esc.sync0_at == NEVER:
         return
     late = system_time(esc, now) - esc.sync0_at
@@ -273,7 +263,7 @@ def skip(esc, now):
 
 @block
 def latch_input(esc, now, unit, rising):
-    """An edge at the latch input `unit`: keep the system time, as 09A8h says."""
+    """Process an edge at the latch input `unit`: latch the system time as set in 09A8h."""
     memory = esc.memory
     single = memory[R.LATCH_CONTROL + unit] >> (0 if rising else 1) & 1
     bit = 1 if rising else 2
@@ -288,5 +278,5 @@ def latch_input(esc, now, unit, rising):
 
 @block
 def watchdog_time(esc, register):
-    """Time of a watchdog (ns): 0400h sets the unit, (divider + 2) x 40 ns; 0 is off."""
+    """Time of a watchdog (ns) in units of (0400h + 2) x 40 ns; 0 means off."""
     return get16(esc.memory, register) * (get16(esc.memory, R.WATCHDOG_DIVIDER) + 2) * 40

@@ -1,6 +1,6 @@
 """The EEPROM interface of a slave controller, registers 0500h-050Fh (ESC data sheet, section II).
 
-A command takes no time: the drive emulates its EEPROM. Who wants it busy sets `eeprom_until`.
+A command takes no time, because the drive emulates its EEPROM; `eeprom_until` keeps it busy.
 """
 
 from ...kernel.jit import block
@@ -9,16 +9,16 @@ from .record import Event
 from .registers import R
 
 READ, WRITE, RELOAD = 1, 2, 4  # commands, 0502h bits 10-8
-IP_CORE = 0x04  # 0000h: its PDI is chosen when it is built, not by the EEPROM (0140h)
+IP_CORE = 0x04  # 0000h: an IP core, whose PDI (0140h) is fixed by its design, not by the EEPROM
 EIGHT_BYTES = 1 << 6  # 0502h: a read gives 8 bytes, not 4
 # 0503h, the upper byte of 0502h
 COMMAND_BITS, CHECKSUM_ERROR, NOT_LOADED, COMMAND_ERROR, ENABLE_ERROR, BUSY = 7, 8, 16, 32, 64, 128
-CHECKED = 14  # bytes of the configuration area before its check sum
+CHECKED = 14  # bytes of the configuration area before its checksum
 
 
 @block
 def checksum(sii):
-    """CRC-8 of the first 14 bytes, polynomial x^8 + x^2 + x + 1, begun with FFh (ETG.2010)."""
+    """CRC-8 of the first 14 bytes: polynomial x^8 + x^2 + x + 1, initial value FFh (ETG.2010)."""
     crc = 0xFF
     for b in range(CHECKED):
         crc ^= sii[b]
@@ -29,7 +29,7 @@ def checksum(sii):
 
 @block
 def load_configuration(esc):
-    """Words 0-4 of the SII to their registers, as after power-on; not where the CRC is wrong."""
+    """Load words 0-4 of the SII into their registers if the checksum is right."""
     memory, sii = esc.memory, esc.sii
     if checksum(sii) != sii[CHECKED]:
         memory[R.EEPROM_CONTROL + 1] |= CHECKSUM_ERROR
@@ -56,7 +56,7 @@ def eeprom_status(esc, now):
 
 @block
 def eeprom_command(esc, now):
-    """Do the command that was written to 0502h; it takes back the errors of the last one."""
+    """Execute the command in 0502h; it clears the errors of the previous one."""
     memory = esc.memory
     status = R.EEPROM_CONTROL + 1
     command = memory[status] & COMMAND_BITS

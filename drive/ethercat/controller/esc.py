@@ -1,7 +1,7 @@
-"""The slave controller: what happens to a frame that passes a row of them. Compiled, without I/O.
+"""Slave controllers: how they process a frame that passes them. Compiled, without I/O.
 
 Sources: ETG.1000.4 (commands, working counter, FMMU, sync managers) and the ESC data sheet,
-sections I and II. A frame and a time (ns) go in; the frame comes back changed. No clock is read.
+sections I and II. The input is a frame and a time (ns), the output the changed frame.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ NO_REPLY = 1 << 31  # the frame was destroyed
 
 @block
 def decode_fmmus(esc):
-    """Take over the FMMUs that are active, in bits."""
+    """Decode the active FMMUs; addresses and lengths are in bits."""
     esc.fmmus = 0
     for n in range(FMMUS):
         at = R.FMMU + 16 * n
@@ -43,7 +43,7 @@ def decode_fmmus(esc):
 
 @block
 def _logical(esc, address, frame, at, n, sent, reads, writes, now, unit, entrance):
-    """LRD, LWR, LRW through every FMMU that meets these logical bytes; -> read and written."""
+    """Pass LRD, LWR or LRW through the FMMUs of these logical bytes; -> read, written."""
     first, end = address * 8, (address + n) * 8
     was_read, was_written = False, False
     for k in range(esc.fmmus):
@@ -88,7 +88,7 @@ def _logical(esc, address, frame, at, n, sent, reads, writes, now, unit, entranc
 
 @block
 def read(esc, address, data, at, n, mix, now, unit):
-    """Read `n` bytes; `mix` ORs them to what is there (BRD). -> whether one could be read."""
+    """Read `n` bytes; `mix` ORs them into the data (BRD). -> whether any byte could be read."""
     memory = esc.memory
     if n == 0 or address + n > len(memory):
         return False
@@ -119,7 +119,7 @@ def read(esc, address, data, at, n, mix, now, unit):
 
 @block
 def _built(memory, at):
-    """Whether this slave has the FMMU or sync manager whose register this is (0004h, 0005h)."""
+    """Whether this slave has the FMMU or sync manager of this register (0004h, 0005h)."""
     if R.FMMU <= at < R.SYNC_MANAGER:
         return (at - R.FMMU) // 16 < memory[R.FMMUS_SUPPORTED]
     if R.SYNC_MANAGER <= at < R.SYNC_MANAGER + 8 * SYNC_MANAGERS:
@@ -134,7 +134,7 @@ def _meets(address, n, register, length):
 
 @block
 def _refresh(esc, address, n, now, unit):
-    """Registers that are made when they are read."""
+    """Update registers whose values are computed on reading."""
     if _meets(address, n, R.EEPROM_CONTROL, 2):
         eeprom_status(esc, now)
     edges = _meets(address, n, R.AL_EVENT, 1) or _meets(address, n, R.SYNC0_STATUS, 0x12)
@@ -146,7 +146,7 @@ def _refresh(esc, address, n, now, unit):
 
 @block
 def _was_read(esc, address, n):
-    """Reading takes back the events 0210h of AL and DL status and of the latch."""
+    """Clear the events 0210h of AL status, DL status and latch after reading."""
     memory = esc.memory
     if _meets(address, n, R.AL_STATUS, 2):
         memory[R.ECAT_EVENT] &= 0xFF ^ 1 << 3
@@ -160,7 +160,7 @@ def _was_read(esc, address, n):
 
 @block
 def write(esc, address, data, at, n, now, unit, entrance):
-    """Write `n` bytes of `data` from `at` on; -> whether one could be written."""
+    """Write `n` bytes of `data` from `at` on; -> whether any byte could be written."""
     memory = esc.memory
     if n == 0 or address + n > len(memory):
         return False
@@ -196,7 +196,7 @@ def write(esc, address, data, at, n, now, unit, entrance):
 
 @block
 def _locked(esc, address, n, now):
-    """What EtherCAT may not write now: AL Control unread, the EEPROM busy or the drive's."""
+    """Whether EtherCAT may not write now: AL Control is unread, or the EEPROM busy or the PDI's."""
     if _meets(address, n, R.AL_CONTROL, 2) and esc.memory[R.AL_EVENT] & 1:
         return True
     if _meets(address, n, R.EEPROM_CONTROL, 14):
@@ -245,7 +245,7 @@ def _effects(esc, effects, address, data, at, n, now, unit, entrance):
         wide = address + n >= 0x0918 and dc.wide(esc)
         dc.steer(esc, unit, dc.get64(data, place) if wide else get32(data, place), wide)
     if effects >> Effect.OFFSET & 1:
-        dc.skip(esc, now)  # the time jumps: edges that it jumps over do not come
+        dc.skip(esc, now)  # the time jumps; the edges in between do not occur
     if effects >> Effect.RESET_DRIFT & 1:
         dc.reset_drift(esc, now)
     if effects >> Effect.SYNC & 1:
@@ -259,7 +259,7 @@ def _effects(esc, effects, address, data, at, n, now, unit, entrance):
 
 @block
 def _begin(frame, length):
-    """Where the EtherCAT header lies; -1: none. A UDP check sum goes, because data will change."""
+    """Offset of the EtherCAT header, -1 if none. Clears a UDP checksum, as data will change."""
     at = 12
     if length < 16:
         return -1
@@ -280,7 +280,7 @@ def _begin(frame, length):
 
 @block
 def _sound(frame, begin, length):
-    """Whether the datagrams fill their frame exactly as they say."""
+    """Whether the datagrams fit their frame and the stated lengths."""
     header = get16(frame, begin)
     at = begin + 2
     end = at + (header & 0x07FF)
@@ -299,9 +299,9 @@ def _sound(frame, begin, length):
 
 @block
 def _process(esc, frame, begin, sent, now, unit, entrance):
-    """One slave does its part on every datagram of a sound frame; -> whether it forwards it.
+    """Process all datagrams of a valid frame in one slave; -> whether it forwards the frame.
 
-    A slave whose port 0 is closed marks what goes round, and destroys what comes a second time.
+    A slave whose port 0 is closed marks circulating frames and destroys them when they return.
     """
     memory = esc.memory
     memory[R.EEPROM_CONTROL] &= 0xFE  # write enable holds for one frame
@@ -344,7 +344,7 @@ def _datagram(esc, command, frame, at, n, sent, now, unit, entrance):
         reads, writes = addressed, not addressed
         addressed = True
     else:
-        kind = (command - 1) % 3  # read, write, both: the commands come by threes
+        kind = (command - 1) % 3  # read, write, both: commands come in groups of three
         reads, writes = kind != 1, kind != 0
     if not addressed:
         return
@@ -372,17 +372,17 @@ def exchange(escs, slaves, times, entrance, frame, length, sent, now):
     """Let a frame pass slave controllers; it is changed in place.
 
     Args:
-        escs: ESC records.
-        slaves: which of them, in the order in which the frame meets their processing units.
-        times: when it does, after `now` (ns).
-        entrance: of the segment, 0 or 1.
+        escs: ESC records of the segment.
+        slaves: indices of the slaves in the order of processing.
+        times: time from `now` to the processing in each of them (ns).
+        entrance: port of the master at which the frame enters, 0 or 1.
         frame: Ethernet frame without its check sequence, u1.
-        length: bytes of it.
-        sent: u1, room for the data of one datagram (2,048).
-        now: when the frame enters the segment (ns).
+        length: length of the frame (bytes).
+        sent: buffer for the data of one datagram, u1 (2,048).
+        now: time at which the frame enters the segment (ns).
 
     Returns:
-        `Event` bits of all slaves together; `NO_REPLY` where the frame was destroyed.
+        `Event` bits of all slaves together; `NO_REPLY` if the frame was destroyed.
     """
     begin = _begin(frame, length)
     if begin < 0 or len(slaves) == 0:
@@ -406,7 +406,7 @@ def exchange(escs, slaves, times, entrance, frame, length, sent, now):
 
 @entry
 def poll(escs, now):
-    """What is due by `now`: edges of SYNC0 and watchdogs, in their order; -> `Event` bits."""
+    """Process edges of SYNC0 and watchdogs up to `now` (ns), in order; -> `Event` bits."""
     events = 0
     for i in range(len(escs)):
         esc = escs[i]
@@ -417,23 +417,21 @@ def poll(escs, now):
             if due > now:
                 break
             if esc.watchdog_at <= due:
-                sync_manager.bite(esc)
+                sync_manager.expire_watchdog(esc)
             dc.edge(esc, due)
         if esc.watchdog_at <= now:
-            sync_manager.bite(esc)
-        if esc.pdi_watchdog_at <= now:
-            sync_manager.bite_pdi(esc)
+            sync_manager.expire_watchdog(esc)
         events |= esc.events
     return events
 
 
 @entry
 def next_time(escs):
-    """When `poll` has something to do next (ns)."""
+    """The next time at which `poll` has something to do (ns)."""
     soonest = NEVER
     for i in range(len(escs)):
         esc = escs[i]
-        soonest = min(soonest, esc.watchdog_at, esc.pdi_watchdog_at)
+        soonest = min(soonest, esc.watchdog_at)
         if esc.sync0_at != NEVER and dc.synchronised(esc):
             soonest = min(soonest, dc.time_of(esc, esc.sync0_at))
     return soonest
@@ -447,13 +445,13 @@ def synchronised(escs, index):
 
 @entry
 def latch(escs, index, now, unit, rising):
-    """An edge at a latch input of one slave."""
+    """Process an edge at a latch input of one slave."""
     dc.latch_input(escs[index], now, unit, rising)
 
 
 @entry
 def configure(escs, index):
-    """Decode the registers of one slave again, after the drive's side wrote them."""
+    """Decode the registers of one slave after the drive's side has written them."""
     sync_manager.decode_all(escs[index])
     decode_fmmus(escs[index])
 
@@ -466,10 +464,7 @@ def power_on(escs, index):
 
 @entry
 def take_process_data(escs, slaves):
-    """Which slaves had their process data exchanged since the last call.
-
-    Fills `slaves` (u1) with 1 and 0; -> how many there are.
-    """
+    """Mark the slaves that exchanged process data since the last call (u1); -> their number."""
     count = 0
     for i in range(len(escs)):
         touched = escs[i].events & Event.PROCESS_DATA

@@ -1,4 +1,4 @@
-"""The drive's side of a slave controller: what its process data interface may read and write."""
+"""The process data interface (PDI): the drive's access to its slave controller."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ OUT, IN = 0, 1  # sync managers of the mailbox
 
 
 class SyncManager(NamedTuple):
-    """Registers of one sync manager as they stand."""
+    """The present registers of one sync manager."""
 
     start: int
     length: int
@@ -25,7 +25,7 @@ class SyncManager(NamedTuple):
 
     @property
     def enabled(self) -> bool:
-        """Whether the master has switched it on."""
+        """Whether the master has enabled it."""
         return bool(self.activate & 1)
 
 
@@ -34,7 +34,7 @@ class Pdi:
 
     Args:
         escs: the ESC records of the segment.
-        index: which of them.
+        index: the slave's record.
     """
 
     def __init__(self, escs: np.ndarray, index: int):
@@ -43,7 +43,7 @@ class Pdi:
         self.memory: np.ndarray = escs["memory"][index]
 
     def get(self, address: int, size: int) -> int:
-        """A register of `size` bytes."""
+        """Read a register of `size` bytes."""
         return int.from_bytes(self.memory[address : address + size].tobytes(), "little")
 
     def set(self, address: int, size: int, value: int) -> None:
@@ -53,7 +53,7 @@ class Pdi:
     # ----------------------------------------------------------- AL registers
 
     def al_control(self) -> int:
-        """Read 0120h, which opens it for the master's next write."""
+        """Read 0120h; the master may then write it again."""
         self.memory[R.AL_EVENT] &= 0xFE
         return self.get(R.AL_CONTROL, 2)
 
@@ -66,12 +66,12 @@ class Pdi:
 
     @property
     def alias(self) -> int:
-        """0012h."""
+        """Configured station alias 0012h."""
         return self.get(R.STATION_ALIAS, 2)
 
     @property
     def sii(self) -> bytes:
-        """The EEPROM as it is now."""
+        """The present content of the EEPROM."""
         record = self._escs[self._index]
         return bytes(record["sii"][: int(record["sii_size"])])
 
@@ -89,7 +89,7 @@ class Pdi:
     # ---------------------------------------------------------------- mailbox
 
     def mailbox_take(self) -> bytes:
-        """The whole buffer of SM0, which is empty afterwards; b"" where there is nothing."""
+        """Read and empty the buffer of SM0; b"" if it is empty."""
         if not self.memory[self._status(OUT)] & sync_manager.FULL:
             return b""
         manager = self.sync_manager(OUT)
@@ -99,11 +99,11 @@ class Pdi:
 
     @property
     def mailbox_waiting(self) -> bool:
-        """Whether SM1 holds something the master has not read."""
+        """Whether SM1 holds a telegram that the master has not read."""
         return bool(self.memory[self._status(IN)] & sync_manager.FULL)
 
     def mailbox_put(self, data: bytes) -> bool:
-        """Fill SM1; False where it is off or still full: then the data have to be kept."""
+        """Fill SM1; False if it is off or still full, and the caller has to keep the data."""
         record = self._escs[self._index]
         if self.mailbox_waiting or not record["sm_length"][IN]:
             return False
@@ -120,12 +120,12 @@ class Pdi:
 
     @property
     def repeat(self) -> bool:
-        """Whether the master asks for the last mailbox again: 080Eh and 080Fh, bit 1, differ."""
+        """Whether the master requests the last mailbox again: bit 1 of 080Eh and 080Fh differs."""
         manager = self.sync_manager(IN)
         return bool((manager.activate ^ manager.pdi) & REPEAT)
 
     def mailbox_repeat(self, data: bytes) -> None:
-        """Put `data` (b"": nothing) into SM1 whatever it holds, and acknowledge the request."""
+        """Replace the content of SM1 by `data` (unless empty) and acknowledge the request."""
         if data:
             self._fill(data)
         manager = self.sync_manager(IN)
@@ -141,7 +141,7 @@ class Pdi:
         self.memory[R.AL_EVENT + 1] &= 0xFC
 
     def take_events(self) -> int:
-        """`Event` bits of what has happened since the last call, process data aside."""
+        """Return and clear the `Event` bits, except PROCESS_DATA."""
         record = self._escs[self._index]
         events = int(record["events"]) & ~Event.PROCESS_DATA
         record["events"] = int(record["events"]) & Event.PROCESS_DATA

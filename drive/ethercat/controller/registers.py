@@ -1,8 +1,8 @@
 """The registers of a slave controller as one table.
 
-Sources: ETG.1000.4 (data link layer registers) and the ESC data sheet, section II (register
-description; the last column names its group), as an ET1100 has them. A byte that is in no row is
-reserved: it is neither read nor written, so a datagram that touches nothing else does not count.
+Sources: ETG.1000.4 (data link layer registers) and the ESC data sheet of the ET1100, section II
+(register description; the last column names its group). A byte without a row is reserved: it is
+neither read nor written, and a datagram that addresses only such bytes does not count.
 """
 
 from enum import IntEnum
@@ -14,17 +14,14 @@ from .record import FMMUS, REGISTERS, SYNC_MANAGERS
 
 
 class R(IntEnum):
-    """Addresses of registers."""
+    """Addresses of the registers that the code names."""
 
     TYPE = 0x0000
     FMMUS_SUPPORTED = 0x0004
     SYNC_MANAGERS_SUPPORTED = 0x0005
-    RAM_SIZE = 0x0006
-    PORT_DESCRIPTOR = 0x0007
     FEATURES = 0x0008
     STATION_ADDRESS = 0x0010
     STATION_ALIAS = 0x0012
-    DL_CONTROL = 0x0100
     LOOP_CONTROL = 0x0101
     ALIAS_ENABLE = 0x0103
     DL_STATUS = 0x0110
@@ -33,20 +30,16 @@ class R(IntEnum):
     AL_STATUS_CODE = 0x0134
     PDI_CONTROL = 0x0140
     ECAT_EVENT_MASK = 0x0200
-    AL_EVENT_MASK = 0x0204
     ECAT_EVENT = 0x0210
     AL_EVENT = 0x0220
     RX_ERRORS = 0x0300
-    FORWARDED_ERRORS = 0x0308
     PROCESSING_ERRORS = 0x030C
     PDI_ERRORS = 0x030D
     LOST_LINKS = 0x0310
     WATCHDOG_DIVIDER = 0x0400
-    WATCHDOG_TIME_PDI = 0x0410
     WATCHDOG_TIME = 0x0420
     WATCHDOG_STATUS = 0x0440
     WATCHDOG_COUNTER = 0x0442
-    WATCHDOG_COUNTER_PDI = 0x0443
     EEPROM_CONFIGURATION = 0x0500
     EEPROM_CONTROL = 0x0502
     EEPROM_ADDRESS = 0x0504
@@ -63,7 +56,6 @@ class R(IntEnum):
     SPEED_COUNTER_DIFFERENCE = 0x0932
     DIFFERENCE_FILTER = 0x0934
     SPEED_FILTER = 0x0935
-    CYCLIC_CONTROL = 0x0980
     ACTIVATION = 0x0981
     PULSE_LENGTH = 0x0982
     ACTIVATION_STATUS = 0x0984
@@ -79,7 +71,7 @@ class R(IntEnum):
 
 
 class Effect(IntEnum):
-    """What else a write from EtherCAT does."""
+    """Effect of a write from EtherCAT beyond the register's value."""
 
     NONE = 0
     AL_CONTROL = 1
@@ -102,10 +94,7 @@ class Effect(IntEnum):
 
 
 class Register(NamedTuple):
-    """One row.
-
-    `writable` has the bits that EtherCAT writes, one mask a byte or one for all of them.
-    """
+    """One row; `writable` masks the bits of each byte that EtherCAT may write."""
 
     address: int
     length: int
@@ -118,7 +107,7 @@ class Register(NamedTuple):
 
 E = Effect
 ALL = 0xFF
-_FMMU_ROW = bytes([255] * 4 + [255, 255, 7, 7, 255, 255, 7, 3, 1])  # bits in use of 13 bytes
+_FMMU_ROW = bytes([255] * 4 + [255, 255, 7, 7, 255, 255, 7, 3, 1])  # writable bits of 13 bytes
 _SM_ROW = bytes([255] * 4 + [0x7F, 0, 0xC3, 0])
 
 REGISTERS_TABLE = (
@@ -221,5 +210,5 @@ def _columns() -> tuple[np.ndarray, ...]:
     return reset, writable, effect, readable
 
 
-# by byte: value after power-on, bits EtherCAT writes, `Effect`, whether there is a register
+# by byte: value after power-on, bits that EtherCAT may write, `Effect`, whether it has a row
 RESET, WRITABLE, EFFECT, READABLE = _columns()

@@ -1,7 +1,7 @@
 """Sync managers of a slave controller: mailboxes, three buffers, and the watchdogs they trigger.
 
-Source: ESC data sheet, section I (sync manager, watchdogs). A buffer begins with its first byte and
-is handed over with its last one; what lies in a buffer that is not open cannot be touched.
+Source: ESC data sheet, section I (sync manager, watchdogs). Access to the first byte opens a
+buffer, access to the last one hands it over; other bytes are accessible only while it is open.
 """
 
 from ...kernel.jit import block
@@ -18,7 +18,7 @@ MAILBOX = 0x02  # its control byte: one buffer with handshake
 
 @block
 def decode(esc, n):
-    """Take over the configuration of sync manager `n`; one that is switched on begins empty."""
+    """Decode the configuration of sync manager `n`; its buffer is empty when it is enabled."""
     memory = esc.memory
     at = R.SYNC_MANAGER + 8 * n
     enabled = memory[at + 6] & 1 and not memory[at + 7] & 1
@@ -44,13 +44,13 @@ def decode(esc, n):
 
 @block
 def empty(control):
-    """Status of a sync manager that begins: its buffer bits are those of three buffers alone."""
+    """Status of an empty sync manager; only three-buffer mode has the buffer bits."""
     return 0 if control & MAILBOX else NONE_WRITTEN
 
 
 @block
 def decode_all(esc):
-    """All of them."""
+    """Decode the configuration of all sync managers."""
     esc.sm_count = 0
     for n in range(SYNC_MANAGERS):
         decode(esc, n)
@@ -60,7 +60,7 @@ def decode_all(esc):
 
 @block
 def allowed(esc, at, n, write):
-    """Whether all sync managers that lie in these bytes let EtherCAT pass."""
+    """Whether all sync managers within these bytes permit the access by EtherCAT."""
     for k in range(esc.sm_count):
         length = esc.sm_length[k]
         start = esc.sm_start[k]
@@ -81,7 +81,7 @@ def allowed(esc, at, n, write):
 
 @block
 def begin(esc, at, n):
-    """The first byte of a buffer opens it; a three-buffer one shows its newest inputs."""
+    """Open the buffers whose first byte is accessed; three buffers show the newest inputs."""
     for k in range(esc.sm_count):
         length = esc.sm_length[k]
         start = esc.sm_start[k]
@@ -98,7 +98,7 @@ def begin(esc, at, n):
 
 @block
 def finish(esc, at, n, now):
-    """The last byte of a buffer hands it over to the other side."""
+    """Hand over the buffers whose last byte is accessed."""
     for k in range(esc.sm_count):
         length = esc.sm_length[k]
         start = esc.sm_start[k]
@@ -126,7 +126,7 @@ def finish(esc, at, n, now):
                 esc.outputs_at = now
         else:
             esc.memory[status] |= READ
-            if esc.outputs_on == 0 or esc.sm_length[OUTPUTS] == 0:  # else they make the cycle
+            if esc.outputs_on == 0 or esc.sm_length[OUTPUTS] == 0:  # else outputs count the cycles
                 esc.events |= Event.PROCESS_DATA
         if esc.sm_watchdog[k] and esc.sm_write[k]:
             trigger_watchdog(esc, now)
@@ -134,15 +134,15 @@ def finish(esc, at, n, now):
 
 @block
 def trigger_watchdog(esc, now):
-    """Outputs have come: the process-data watchdog runs anew."""
+    """Restart the process-data watchdog when outputs have arrived."""
     time = dc.watchdog_time(esc, R.WATCHDOG_TIME)
     esc.memory[R.WATCHDOG_STATUS] = 1
     esc.watchdog_at = now + time if time else NEVER
 
 
 @block
-def bite(esc):
-    """The process-data watchdog has expired."""
+def expire_watchdog(esc):
+    """Let the process-data watchdog expire."""
     memory = esc.memory
     esc.watchdog_at = NEVER
     memory[R.WATCHDOG_STATUS] = 0
@@ -150,14 +150,3 @@ def bite(esc):
     if memory[R.WATCHDOG_COUNTER] < 0xFF:
         memory[R.WATCHDOG_COUNTER] += 1
     esc.events |= Event.WATCHDOG
-
-
-@block
-def bite_pdi(esc):
-    """The drive's side has been silent for too long."""
-    memory = esc.memory
-    esc.pdi_watchdog_at = NEVER
-    memory[R.DL_STATUS] &= 0xFF ^ 2
-    if memory[R.WATCHDOG_COUNTER_PDI] < 0xFF:
-        memory[R.WATCHDOG_COUNTER_PDI] += 1
-    esc.events |= Event.PDI_WATCHDOG
