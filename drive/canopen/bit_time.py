@@ -24,7 +24,7 @@ def crc15(bits: str) -> int:
 
 
 def stuffed(frame: Frame) -> str:
-    """The part of `frame` that is subject to stuffing, with its CRC, before stuffing."""
+    """The bits of `frame` that are subject to stuffing, CRC included, before stuffing."""
     remote = int(frame.remote)
     if frame.extended:  # substitute remote request and identifier extension are recessive
         low = frame.id & 0x3FFFF
@@ -37,7 +37,7 @@ def stuffed(frame: Frame) -> str:
 
 
 def stuff_bits(bits: str) -> int:
-    """How many bits stuffing adds to `bits`; a stuff bit begins the next run."""
+    """Number of stuff bits that `bits` need; a stuff bit starts the next run."""
     added, run, last = 0, 0, ""
     for bit in bits:
         run = run + 1 if bit == last else 1
@@ -49,7 +49,7 @@ def stuff_bits(bits: str) -> int:
 
 
 def length(frame: Frame) -> int:
-    """Bit times from the start of frame until the next frame may start, interframe space included.
+    """Bit times from the start of a frame until the next may start, with the interframe space.
 
     A base frame with n data bytes has 47 + 8n bits and at most ⌊(33 + 8n) / 4⌋ stuff bits.
     """
@@ -58,10 +58,10 @@ def length(frame: Frame) -> int:
 
 
 def priority(frame: Frame) -> int:
-    """The arbitration field as a number; the lowest one wins the bus.
+    """The arbitration field as a number; the lowest one wins the arbitration.
 
-    So a data frame precedes the remote frame of its identifier, and a base frame the extended one
-    that begins with the same eleven bits.
+    A data frame therefore precedes the remote frame of its identifier, and a base frame precedes
+    the extended frame that begins with the same eleven bits.
     """
     if frame.extended:
         base, rest = divmod(frame.id, 1 << 18)

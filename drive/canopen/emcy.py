@@ -1,10 +1,10 @@
 """EMCY: emergency messages, error register 1001h and history 1003h (CiA 301, emergency object).
 
-There are two kinds of errors. Faults of the drive are entered in 1001h and 1003h by its control
-cycle. Communication errors are *conditions* that the services of the node report and clear; they
-are entered here, and bit 4 of the error register is set while one is present. Each event is sent
-once, even if a master clears the history in the meantime. When a bit of the register is cleared, an
-EMCY with the code 0 is sent.
+There are two kinds of errors. The control cycle enters faults of the drive in 1001h and 1003h.
+Communication errors are *conditions* that the services of the node report and clear; this module
+enters them, and sets bit 4 of the error register while one is present. Each event is sent once,
+even if a master clears the history in the meantime. When a bit of the register is cleared, an EMCY
+with the code 0 is sent.
 """
 
 import struct
@@ -42,7 +42,6 @@ class Emergency:
         own = slice(drive.index, drive.index + 1)
         self._events = drive.axes["error_events"][own]
         self._register = drive.axes["od"]["error_register"][own]
-        self.reset()
 
     def configure(self) -> None:
         """Read 1014h and 1015h; a model without 1014h has the default identifier."""
@@ -53,12 +52,11 @@ class Emergency:
         self._inhibit = self._drive.objects.value(0x1015) * 100
 
     def reset(self) -> None:
-        """Restart: all earlier events count as sent, and no condition is present."""
+        """Regard all earlier events as sent, and no condition as present."""
         for code, source in [*self._present]:
             self.clear(code, source)
-        self.configure()
-        self._seen = self._events.item(0)
-        self._told = self._register.item(0)
+        self._queued = self._events.item(0)  # number of events that are queued or sent
+        self._reported = self._register.item(0)  # error register in the last EMCY
         self._sent_at = -(1 << 62)
         # code, cause, error register
         self._queue: deque[tuple[int, int, int]] = deque(maxlen=HISTORY)
@@ -66,8 +64,8 @@ class Emergency:
     def report(self, code: ErrorCode, source: Hashable, cause: Cause = Cause.NONE) -> None:
         """Report a communication error, which is present until `clear`.
 
-        It is entered in the history here, unless the control cycle will do so because `cause` is a
-        fault or a warning of the drive.
+        The error is entered in the history here, unless the control cycle will do so because
+        `cause` is a fault or a warning of the drive.
         """
         silent = self._drive.model.quirk("only_faults_are_told")
         if silent and cause is Cause.CONNECTION and not self._drive_reports(cause):
@@ -109,31 +107,32 @@ class Emergency:
             axis.od.error_register = register
 
     def poll(self, time: int) -> None:
-        """Send what is new at `time` (µs), no faster than the inhibit time 1015h."""
+        """Send new errors at `time` (µs), no faster than the inhibit time 1015h allows."""
         events, register = self._events.item(0), self._register.item(0)
-        if events == self._seen and register == self._told and not self._queue:
+        if events == self._queued and register == self._reported and not self._queue:
             return
         if self._present and register & COMMUNICATION != COMMUNICATION:
             register |= COMMUNICATION  # a fault reset of the drive has cleared it
             self._register[0] = register
-        entered = self._drive.errors_since(self._seen)
+        entered = self._drive.errors_since(self._queued)
         self._queue.extend((code, cause, register) for code, cause in entered)
-        self._seen = events
+        self._queued = events
         if time - self._sent_at < self._inhibit:
             return
         if self._queue:
-            code, cause, self._told = self._queue.popleft()
-        elif self._told & ~register:
-            code, cause, self._told = ErrorCode.NONE, Cause.NONE, register
+            code, cause, self._reported = self._queue.popleft()
+        elif self._reported & ~register:
+            code, cause, self._reported = ErrorCode.NONE, Cause.NONE, register
         else:
-            self._told = register
+            self._reported = register
             return
         self._sent_at = time
         if self._valid:
-            self._send(self._identifier, _FRAME.pack(code, self._told, self._internal(code, cause)))
+            internal = self._internal(code, cause)
+            self._send(self._identifier, _FRAME.pack(code, self._reported, internal))
 
     def _internal(self, code: int, cause: int) -> int:
-        """The manufacturer's fault number in bytes 6 and 7, in models that send it."""
+        """The manufacturer's fault number for bytes 6 and 7; 0 in models that do not send it."""
         model = self._drive.model
         if not code or not model.quirk("emcy_internal_code"):
             return 0

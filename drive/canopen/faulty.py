@@ -1,7 +1,7 @@
 """Fault injection on a link: seeded drops, corruption, delays, swaps and duplicates of frames.
 
 A CAN controller detects almost every disturbed frame by its CRC and repeats it. The faults injected
-here are those that remain, or that a gateway in between causes.
+here are those that remain, or that a gateway causes.
 """
 
 from dataclasses import dataclass, fields
@@ -22,12 +22,12 @@ class Faults:
     Raises ValueError naming field, value and range.
     """
 
-    drop: float = 0.0  # it vanishes
+    drop: float = 0.0  # the frame is lost
     corrupt: float = 0.0  # one bit of its data is inverted
-    delay: float = 0.0  # it comes up to `longest_delay` later
+    delay: float = 0.0  # it arrives up to `longest_delay` later
     reorder: float = 0.0  # the next frame in its direction overtakes it
-    duplicate: float = 0.0  # it comes twice
-    bus_off: float = 0.0  # of a frame sent: the member is off the bus for `bus_off_time`
+    duplicate: float = 0.0  # it arrives twice
+    bus_off: float = 0.0  # sending it puts the member off the bus for `bus_off_time`
     longest_delay: int = 10_000  # µs
     bus_off_time: int = RECOVERY  # µs; at 1 Mbit/s without another member sending
 
@@ -60,7 +60,7 @@ class Faulty:
         self._outgoing = _Direction()
         self._incoming = _Direction()
         self._off_until = 0
-        self.counts = dict.fromkeys(RATES, 0)  # how often each has happened
+        self.counts = dict.fromkeys(RATES, 0)  # number of occurrences of each fault
 
     def bus_off(self, time: int) -> bool:
         """Whether the member is off the bus at `time`."""
@@ -109,11 +109,11 @@ class Faulty:
 
 
 class _Direction:
-    """Frames in transit, and one that waits to be overtaken."""
+    """Frames in transit, and one frame that waits to be overtaken."""
 
     def __init__(self) -> None:
         self._frames: list[tuple[int, Frame]] = []  # due, frame
-        self._held: tuple[int, Frame] | None = None  # goes at the latest, frame
+        self._held: tuple[int, Frame] | None = None  # latest time, frame
 
     def add(self, frame: Frame, due: int, latest: int | None) -> None:
         """Add a frame; with `latest` it waits for the next one, but no longer than that."""
@@ -126,7 +126,7 @@ class _Direction:
             self._held = None
 
     def take(self, time: int) -> list[Frame]:
-        """What is due, in the order of the times."""
+        """Return the frames that are due, in the order of their times."""
         if self._held is not None and time >= self._held[0]:
             self._frames.append(self._held)
             self._held = None

@@ -3,12 +3,12 @@
 A node uses heartbeat or guarding, not both: guarding is not answered while 1017h is not 0.
 """
 
-from collections.abc import Callable
 from functools import partial
 
 from ..drive import Drive
 from ..kernel.faults import Cause
 from .emcy import Emergency, ErrorCode
+from .frame import Base, Route
 
 
 class HeartbeatProducer:
@@ -16,28 +16,26 @@ class HeartbeatProducer:
 
     def __init__(self, drive: Drive):
         self._objects = drive.objects
-        self._period = 0
-        self.reset()
 
     def reset(self) -> None:
-        """The boot-up message goes out."""
+        """Start with the boot-up message."""
         self._period = self._objects.value(0x1017) * 1000
         self._sent_at: int | None = None
         self._booted = True
 
     def configure(self) -> None:
-        """Read 1017h; a new time starts at once."""
+        """Read 1017h; a new period starts at once."""
         period = self._objects.value(0x1017) * 1000
         if period != self._period:
             self._period, self._sent_at, self._booted = period, None, False
 
     @property
     def produces(self) -> bool:
-        """Whether there is a heartbeat at all."""
+        """Whether the node produces a heartbeat."""
         return self._period > 0
 
     def due(self, time: int) -> bool:
-        """Whether a heartbeat is due at `time` (µs); valid only if one is produced."""
+        """Whether a heartbeat is due at `time` (µs); to be called only if one is produced."""
         if self._booted:
             self._booted, self._sent_at = False, time
             return False
@@ -47,30 +45,28 @@ class HeartbeatProducer:
         late = time - self._sent_at - self._period
         if late < 0:
             return False
-        # a late poll does not add up; whoever polls this seldom loses some
+        # a late poll does not shift the following ones; a very late one skips some
         self._sent_at = time - late if late < self._period else time
         return True
 
 
 class HeartbeatConsumer:
-    """Heartbeats of other nodes (1016h), each monitored from the first one that comes."""
+    """Heartbeats of other nodes (1016h); each node is monitored from its first one on."""
 
     def __init__(self, drive: Drive, emergency: Emergency):
         self._objects = drive.objects
         self._axis = drive.axis
         self._subs = sorted(sub for index, sub in drive.objects.slots if index == 0x1016 and sub)
         self._emergency = emergency
-        self.reset()
 
     def reset(self) -> None:
         """Forget the heartbeats received."""
         self._limits: dict[int, int] = {}  # node-id -> µs
         self._heard: dict[int, int] = {}  # node-id -> time of its last heartbeat
         self.lost: set[int] = set()
-        self.configure()
 
     def configure(self) -> None:
-        """Read 1016h; a node whose entry has changed is monitored anew."""
+        """Read 1016h; monitoring restarts for a node whose entry has changed."""
         entries = [self._objects.value(0x1016, sub) for sub in self._subs]
         limits = {
             entry >> 16: (entry & 0xFFFF) * 1000
@@ -84,12 +80,13 @@ class HeartbeatConsumer:
 
     @property
     def monitors(self) -> bool:
-        """Whether there is a node to listen to."""
+        """Whether a node is monitored."""
         return bool(self._limits)
 
-    def routes(self) -> list[tuple[int, Callable[[bytes, int], None]]]:
-        """Node-ids to listen to, each with the receiver of its heartbeat."""
-        return [(node, partial(self._hear, node)) for node in self._limits]
+    @property
+    def routes(self) -> list[Route]:
+        """Identifiers of the heartbeats, each with its receiver."""
+        return [(Base.ERROR_CONTROL + node, partial(self._hear, node)) for node in self._limits]
 
     def _hear(self, node: int, data: bytes, time: int) -> None:
         if len(data) == 1:
@@ -112,23 +109,21 @@ class HeartbeatConsumer:
 
 
 class NodeGuarding:
-    """Guarding by a master's remote frames; life guarding starts with the first (100Ch, 100Dh)."""
+    """Node guarding by remote frames of the master; life guarding starts with the first one."""
 
     def __init__(self, drive: Drive, emergency: Emergency):
         self._objects = drive.objects
         self._axis = drive.axis
         self._emergency = emergency
-        self.reset()
 
     def reset(self) -> None:
-        """Forget the master; the toggle bit begins with 0."""
+        """Forget the master; the toggle bit starts with 0."""
         self._toggle = 0
         self._guarded_at: int | None = None
         self.lost = False
-        self.configure()
 
     def configure(self) -> None:
-        """Read guard time and life time factor; changed, they count from the next request."""
+        """Read guard time 100Ch and life time factor 100Dh; changes apply from the next request."""
         self._answers = not self._objects.value(0x1017)
         self._life = self._objects.value(0x100C) * self._objects.value(0x100D) * 1000
         if not self._life or not self._answers:
@@ -137,7 +132,7 @@ class NodeGuarding:
 
     @property
     def monitors(self) -> bool:
-        """Whether there is a life time."""
+        """Whether the node monitors the master."""
         return self._answers and self._life > 0
 
     def _found(self) -> None:
@@ -145,7 +140,7 @@ class NodeGuarding:
         self._emergency.clear(ErrorCode.CONNECTION, "guarding")
 
     def answer(self, state: int, time: int) -> bytes | None:
-        """The answer to the master's remote frame: toggle bit and NMT state."""
+        """Answer the master's remote frame with toggle bit and NMT state; None if not used."""
         if not self._answers:
             return None
         self._guarded_at = time
@@ -155,7 +150,7 @@ class NodeGuarding:
         return data
 
     def poll(self, time: int) -> bool:
-        """Whether the life time has just run out."""
+        """Whether the life time has expired since the last call."""
         if self._guarded_at is None or not self._life or time - self._guarded_at <= self._life:
             return False
         self._guarded_at, self.lost = None, True

@@ -1,6 +1,6 @@
 """Links between the members of a simulated bus, without I/O; time in µs.
 
-A `Link` is what one member sees of the bus: it sends frames and receives those of the others.
+A `Link` is the connection of one member: it sends frames and receives those of the others.
 `Loopback` is a bus within the process, with or without transmission times; `Faulty` injects faults
 into any link. Links to python-can and to log files: `servogym.drive.wire.bus`.
 """
@@ -12,26 +12,26 @@ from typing import Protocol
 from .bit_time import length, priority
 from .frame import Frame
 
-QUEUE = 4096  # frames a member has waiting in each direction; then it loses the oldest
+QUEUE = 4096  # waiting frames of a member in each direction; when full, the oldest is lost
 FASTEST = 1_000_000  # bit/s of classical CAN
 MICRO = 1_000_000
 
 
 class Link(Protocol):
-    """A member's way to the bus. `time` (µs, an integer) never goes back."""
+    """A member's connection to the bus. `time` (µs, an integer) never decreases."""
 
     def send(self, frame: Frame, time: int) -> None:
-        """Hand over a frame at `time`; it goes out as soon as the bus takes it."""
+        """Queue a frame at `time`; it is sent as soon as the bus is free."""
 
     def receive(self, time: int) -> Iterable[Frame]:
-        """The frames of the other members that are complete at `time`, in their order."""
+        """Return the frames of the other members that are complete at `time`, in order."""
 
 
 class Loopback:
     """A CAN bus within the process.
 
-    A member sends its frames in the order they were handed over, so that a SYNC does not overtake
-    the RPDOs before it. Between the members the frame with the lowest identifier goes first.
+    A member sends its frames in the order in which they were queued, so that a SYNC does not
+    overtake the RPDOs before it. Between the members, the frame with the lowest identifier wins.
 
     Args:
         bit_rate: bit/s; frames then take their bit times and wait for the bus. Without it they
@@ -47,17 +47,18 @@ class Loopback:
                 f"bit_rate = {bit_rate} bit/s is out of range 1..{FASTEST}; "
                 "None is a bus on which frames take no time"
             )
-        self._bit = 0 if bit_rate is None else MICRO  # length of a bit, in ...
-        self._unit = bit_rate or 1  # ... units per µs, so that every bit rate is exact
+        # a bit takes `_bit` units of time and a µs has `_unit` of them: exact for every bit rate
+        self._bit = 0 if bit_rate is None else MICRO
+        self._unit = bit_rate or 1
         self._members: list[Member] = []
         self._running: tuple[int, Member, Frame] | None = None  # end, sender, frame
         self._free = 0  # end of the last frame
         self._busy = 0
-        self.frames = 0  # that have passed
-        self.lost = 0  # because a member had `QUEUE` frames waiting
+        self.frames = 0  # number of transmitted frames
+        self.lost = 0  # number of frames lost because a queue was full
 
     def join(self) -> "Member":
-        """A new member of the bus."""
+        """Add a member to the bus."""
         member = Member(self)
         self._members.append(member)
         return member
@@ -65,11 +66,11 @@ class Loopback:
     def load(self, time: int) -> float:
         """Share of the time up to `time` in which the bus was not idle, 0..1."""
         self.advance(time)
-        begun = max(0, self._free - time * self._unit)  # of the running frame, not yet passed
-        return (self._busy - begun) / (time * self._unit) if time > 0 else 0.0
+        to_come = max(0, self._free - time * self._unit)  # of the running frame
+        return (self._busy - to_come) / (time * self._unit) if time > 0 else 0.0
 
     def due(self) -> int | None:
-        """When the next frame will be complete (µs, rounded up); None if none is waiting."""
+        """Time at which the next frame will be complete (µs, rounded up); None if none waits."""
         if self._running:
             return -(-self._running[0] // self._unit)
         start, winner = self._next()
@@ -97,7 +98,7 @@ class Loopback:
                     member.inbox.append(frame)
 
     def _next(self) -> "tuple[int, Member | None]":
-        """When the next frame starts, and the member that wins the arbitration."""
+        """Start of the next frame, and the member that wins the arbitration."""
         waiting = [member for member in self._members if member.queue]
         if not waiting:
             return self._free, None
@@ -105,7 +106,7 @@ class Loopback:
         if len(waiting) == 1:
             return start, waiting[0]
         ready = [m for m in waiting if m.queue[0][0] * self._unit <= start]
-        # two members with one identifier would destroy each other's frames; here the elder wins
+        # frames of two members with one identifier would collide; here the first member wins
         return start, min(ready, key=lambda m: m.queue[0][1])
 
     def _length(self, frame: Frame) -> int:
@@ -124,18 +125,17 @@ class Member:
 
     def __init__(self, bus: Loopback):
         self._bus = bus
-        self.queue: deque[tuple[int, int, Frame]] = deque(
-            maxlen=QUEUE
-        )  # since when, priority, what
+        # time of queueing, priority, frame
+        self.queue: deque[tuple[int, int, Frame]] = deque(maxlen=QUEUE)
         self.inbox: deque[Frame] = deque(maxlen=QUEUE)
 
     def send(self, frame: Frame, time: int) -> None:
-        """Hand over a frame at `time`."""
+        """Queue a frame at `time`."""
         self._bus.lost += len(self.queue) == QUEUE
         self.queue.append((time, priority(frame), frame))
 
     def receive(self, time: int) -> list[Frame]:
-        """The frames of the others that are complete at `time`."""
+        """Return the frames of the others that are complete at `time`."""
         self._bus.advance(time)
         frames = list(self.inbox)
         self.inbox.clear()

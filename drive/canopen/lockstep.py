@@ -11,22 +11,22 @@ from .frame import SYNC
 from .link import Link, Loopback
 from .node import Node
 
-ROUNDS = 100  # in which nodes answer each other at one instant; what is left waits for the next
+ROUNDS = 100  # of answers between nodes at one instant; further frames wait for the next one
 
 
 class LockStep:
     """Machines and their drives as nodes of one `Loopback`, in simulated time.
 
-    SYNC comes from here (`sync`), or from a master behind another link (`serve`). A node takes the
-    RPDOs and samples the TPDOs at the SYNC; then the position cycles of the period pass.
+    SYNC is produced here (`sync`) or by a master behind another link (`serve`). At a SYNC, a node
+    latches the RPDOs and samples the TPDOs; then the position cycles of the period run.
 
     Args:
-        machines: with drives of different node-ids.
-        period: between two SYNCs (µs), a whole multiple of each machine's cycle.
-        bus: the nodes' bus; one on which frames take no time if not given.
+        machines: machines with drives of different node-ids.
+        period: period of SYNC (µs), a whole multiple of each machine's cycle.
+        bus: the nodes' bus; by default one on which frames take no time.
 
     Raises:
-        ValueError: two drives with one node-id, a period that the cycles do not allow.
+        ValueError: two drives with one node-id, or a period that is not a multiple of the cycles.
     """
 
     def __init__(
@@ -58,8 +58,8 @@ class LockStep:
         it.
 
         Args:
-            link: of the master.
-            ends: a SYNC ends its period instead of beginning it. Frames sent since the previous
+            link: the master's link.
+            ends: a SYNC ends its period instead of starting it. Frames sent since the previous
                 SYNC then act for the whole period, and the nodes answer with the result.
         """
         for frame in link.receive(self.time):
@@ -95,7 +95,7 @@ class LockStep:
             self._settle()
 
     def _settle(self) -> bool:
-        """Let all nodes receive and send at this instant; False if they do not come to an end."""
+        """Let all nodes receive and send at this instant; False if they do not finish."""
         time = self.time
         for _ in range(ROUNDS):
             for node, link in self._stations:

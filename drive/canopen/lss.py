@@ -1,8 +1,8 @@
 """LSS slave: node-id and bit rate over the bus (CiA 305).
 
 A slave waits until a master selects it, by switching all slaves or by the identity 1018h. A new
-node-id acts at the next NMT reset communication; a slave without one (255) takes it as soon as it
-is switched back to waiting.
+node-id becomes active at the next NMT reset communication; a slave without a node-id (255) adopts
+it as soon as it is switched back to the waiting state.
 """
 
 import struct
@@ -14,7 +14,7 @@ UNCONFIGURED = 255  # node-id of a slave that has none
 BIT_RATES = {  # bit timing table 0 -> bit/s; 5 and 9 (automatic) are not supported
     0: 1_000_000, 1: 800_000, 2: 500_000, 3: 250_000, 4: 125_000, 6: 50_000, 7: 20_000, 8: 10_000,
 }
-CONFIRM = 0x80  # "bit checked" of a Fastscan that asks who takes part
+CONFIRM = 0x80  # "bit checked" of a Fastscan that asks for any unconfigured slave
 
 
 class LssState(IntEnum):
@@ -25,7 +25,11 @@ class LssState(IntEnum):
 
 
 class Command(IntEnum):
-    """Command specifiers; inquiries and 40h-4Bh take one identity field each."""
+    """Command specifiers (CiA 305).
+
+    SWITCH_SELECTIVE, IDENTIFY_REMOTE and INQUIRE_IDENTITY are the first of several, one for each
+    field of the identity.
+    """
 
     SWITCH_GLOBAL = 0x04
     CONFIGURE_NODE_ID = 0x11
@@ -70,16 +74,16 @@ class LssSlave:
         self._identity = identity
         self._send = send
         self._keep = store
-        self.stored_node_id = node_id  # what a power-on would find
+        self.stored_node_id = node_id  # active after the next power-on
         self.stored_bit_rate = bit_rate  # bit/s; None: never stored
         self.active_node_id = node_id
-        self.bit_rate: int | None = None  # bit/s that the bus is to have; None: as it was
+        self.bit_rate: int | None = None  # bit/s, activated by the master; None: unchanged
         self.bit_rate_switch: BitRateSwitch | None = None  # in progress
         self.power_on()
 
     def power_on(self) -> None:
-        """Begin with the stored node-id, waiting."""
-        self.node_id = self.stored_node_id  # pending: acts at the next reset communication
+        """Start in the waiting state with the stored node-id."""
+        self.node_id = self.stored_node_id  # pending: active at the next reset communication
         self._bit_rate = self.stored_bit_rate  # pending
         self.state = LssState.WAITING
         self._selected = self._identified = self._scanned = 0
@@ -90,19 +94,19 @@ class LssSlave:
             return
         command = data[0]
         configuration = self.state == LssState.CONFIGURATION
-        if 0x40 <= command <= 0x43:
-            self._switch_selective(command - 0x40, data)
-        elif 0x46 <= command <= 0x4B:
-            self._identify(command - 0x46, data)
-        elif configuration and 0x5A <= command <= 0x5D:
-            self._answer(command, struct.pack("<I", self._identity[command - 0x5A]))
+        if 0 <= (field := command - Command.SWITCH_SELECTIVE) < 4:
+            self._switch_selective(field, data)
+        elif 0 <= (step := command - Command.IDENTIFY_REMOTE) < 6:
+            self._identify(step, data)
+        elif configuration and 0 <= (field := command - Command.INQUIRE_IDENTITY) < 4:
+            self._answer(command, struct.pack("<I", self._identity[field]))
         elif command in _ALWAYS:
             _ALWAYS[command](self, data, time)
         elif configuration and command in _CONFIGURATION:
             _CONFIGURATION[command](self, data, time)
 
     def switching(self, time: int) -> bool:
-        """Whether the bit rate is being changed: no frame is taken or given (inferred)."""
+        """Whether the bit rate is being switched, when no frame passes (inferred)."""
         switch = self.bit_rate_switch
         if switch is None:
             return False
@@ -174,7 +178,7 @@ class LssSlave:
             return
         if bit == 0:
             self._scanned = following
-            if following < field:  # all four fields are known
+            if following < field:  # all four fields are found
                 self._enter(LssState.CONFIGURATION)
         self._answer(Command.IDENTIFIED)
 
@@ -195,7 +199,7 @@ class LssSlave:
         self._answer(data[0], bytes([not good]))
 
     def _activate_bit_timing(self, data: bytes, time: int) -> None:
-        """Not answered: two delays begin, the rate changes between them."""
+        """Start two delays, between which the bit rate changes; there is no answer."""
         if self._bit_rate is not None:
             delay = struct.unpack_from("<H", data, 1)[0] * 1000
             self.bit_rate_switch = BitRateSwitch(time + delay, time + 2 * delay, self._bit_rate)

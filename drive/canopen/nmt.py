@@ -1,10 +1,10 @@
-"""NMT: states, commands, and which service lives in which state (CiA 301, NMT state machine)."""
+"""NMT: states, commands, and the services of each state (CiA 301, NMT state machine)."""
 
 from enum import IntEnum, IntFlag, auto
 
 
 class NmtState(IntEnum):
-    """NMT states as heartbeat and guarding report them."""
+    """NMT states with their values in heartbeat and node guarding."""
 
     INITIALISING = 0
     STOPPED = 4

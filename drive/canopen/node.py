@@ -1,9 +1,9 @@
 """A CANopen node around one drive: the switchboard of its communication services (CiA 301, 305).
 
-No input or output of its own: `receive` takes frames, `poll` gives them, and time (µs, an integer)
-is an argument of both. Whoever owns the node moves the frames and lets the drive's cycles pass.
-A frame finds its services by one look into a table that is made anew when a communication object
-or the NMT state has changed.
+The node performs no input or output: `receive` takes frames, `poll` returns them, and time (µs, an
+integer) is an argument of both. The owner of the node transfers the frames and runs the drive's
+cycles. A table maps each identifier to its services; it is rebuilt when a communication object or
+the NMT state has changed.
 """
 
 from collections import deque
@@ -24,7 +24,7 @@ from .tpdo import Transmitter
 
 __all__ = ["NmtCommand", "NmtState", "Node"]
 
-QUEUE = 1024  # frames; a node whose owner does not poll loses the oldest
+QUEUE = 1024  # frames to be polled; when full, the oldest is lost
 _AFTER_ERROR = {  # 1029h:01, from OPERATIONAL for 0; 1: no change
     0: NmtState.PRE_OPERATIONAL,
     2: NmtState.STOPPED,
@@ -36,10 +36,10 @@ class Node:
 
     Args:
         drive: the drive.
-        node_id: 1..127, or 255: none, the node waits until LSS gives it one. If left out, what
-            LSS has stored in the drive, else the drive's.
+        node_id: 1..127, or 255 for a node that waits for LSS to assign one. By default the node-id
+            that LSS has stored in the drive, otherwise that of the drive.
 
-    Raises ValueError: node_id is out of range, the drive is on another bus.
+    Raises ValueError: node_id is out of range, or the drive is on another bus.
     """
 
     def __init__(self, drive: Drive, node_id: int | None = None):
@@ -89,13 +89,13 @@ class Node:
 
     @property
     def bit_rate(self) -> int | None:
-        """What LSS has asked for (bit/s), None before; the owner of the bus has to follow."""
+        """The bit rate set by LSS (bit/s), None before; the owner of the bus has to apply it."""
         return self.lss.bit_rate
 
     # ------------------------------------------------------------------- NMT
 
     def _boot(self) -> None:
-        """Reset: all services anew, boot-up message, PRE-OPERATIONAL; LSS only without node-id."""
+        """Reset all services, send boot-up and enter PRE-OPERATIONAL; without node-id, only LSS."""
         self.state = NmtState.INITIALISING
         self.drive.operational = False
         self._lost[0] = 0
@@ -139,14 +139,14 @@ class Node:
         self._boot()
 
     def _adopt(self) -> None:
-        """The drive has reset itself to have another node-id (parameter 387 of the ACT)."""
+        """Adopt the node-id for which the drive has reset itself (parameter 387 of the ACT)."""
         assert self.drive.wanted_node_id is not None
         self.lss.stored_node_id, self.drive.wanted_node_id = self.drive.wanted_node_id, None
         self.lss.power_on()
         self._reset_communication()
 
     def _take_node_id(self) -> None:
-        """The node-id that LSS has configured becomes the active one."""
+        """Activate the node-id that LSS has configured."""
         self.node_id = self.lss.active_node_id = self.lss.node_id
         if self.node_id != UNCONFIGURED:
             self.drive.node_id = self.node_id
@@ -154,7 +154,7 @@ class Node:
     # ----------------------------------------------------------- switchboard
 
     def _configure(self) -> None:
-        """Let the services read their objects, and connect their identifiers."""
+        """Let the services read their objects, and rebuild the tables."""
         self._version = self.drive.communication_version
         for service in self._resettable:
             service.configure()
@@ -163,17 +163,13 @@ class Node:
         self._connect()
 
     def _connect(self) -> None:
-        """Make the tables from identifier to service for the NMT state."""
+        """Build the tables from identifier to service for the NMT state."""
         routes: dict[Service, list[Route]] = {
             Service.LSS: [(Base.LSS_REQUEST, self._lss)],
             Service.NMT: [(Base.NMT, self._nmt)],
-            Service.ERROR_CONTROL: [
-                (Base.ERROR_CONTROL + node, take) for node, take in self.heartbeat_consumer.routes()
-            ],
+            Service.ERROR_CONTROL: self.heartbeat_consumer.routes,
             Service.SYNC: [(self.sync.identifier, self._sync)],
-            Service.TIME: [(self.time_stamp.identifier, self.time_stamp.take)]
-            if self.time_stamp.consumes
-            else [],
+            Service.TIME: self.time_stamp.routes,
             Service.SDO: self._sdo.routes,
             Service.PDO: self._receiver.routes,
         }
@@ -214,7 +210,7 @@ class Node:
         return lambda data: put(Frame(identifier, data))
 
     def receive(self, frame: Frame, time: int) -> None:
-        """Take a frame at `time` (µs); what is not for this node, or senseless, is ignored."""
+        """Process a frame at `time` (µs); frames for others and invalid ones are ignored."""
         if self._version != self.drive.communication_version:
             self._configure()
         identifier, data, remote, extended = frame
@@ -247,7 +243,7 @@ class Node:
     # ------------------------------------------------------------------ poll
 
     def poll(self, time: int) -> list[Frame]:
-        """Frames to send at `time` (µs), in their order."""
+        """Return the frames to send at `time` (µs), in order."""
         if self.drive.wanted_node_id is not None:
             self._adopt()
         if self._version != self.drive.communication_version:
@@ -258,7 +254,7 @@ class Node:
         for poll in pollers:
             poll(time)
             if pollers is not self._pollers:
-                break  # the NMT state has changed: what lives in the new one is next
+                break  # the NMT state has changed, so other services are active
         frames = [*self._out]
         self._out.clear()
         return frames
@@ -288,7 +284,7 @@ class Node:
         state = _AFTER_ERROR.get(self.drive.objects.value(0x1029, 1))
         if state == NmtState.STOPPED or (state and self.state == NmtState.OPERATIONAL):
             if self.state != NmtState.STOPPED:
-                self.emergency.poll(time)  # a stopped node could not tell (inferred)
+                self.emergency.poll(time)  # a stopped node sends no EMCY (inferred)
             self._enter(state)
 
     def _watches(self) -> bool:

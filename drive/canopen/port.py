@@ -1,4 +1,4 @@
-"""Ports through which frames reach nodes, and which advance time."""
+"""Ports that carry frames to nodes and advance time."""
 
 from collections.abc import Iterable
 from typing import Protocol
@@ -9,21 +9,21 @@ from .node import Node
 
 
 class FramePort(Protocol):
-    """A member of a bus; `servogym.drive.wire.bus.CanPort` is one of python-can."""
+    """A member of a bus; `servogym.drive.wire.bus.CanPort` implements it with python-can."""
 
     def now(self) -> float:
-        """Time (s) from any origin; it advances while frames are exchanged."""
+        """Time (s) from an arbitrary origin; it advances while frames are exchanged."""
 
     def exchange(self, frames: Iterable[Frame]) -> Iterable[Frame]:
-        """Send `frames`, wait for answers (ms at most); -> frames since the last call."""
+        """Send `frames`, wait some ms for answers; -> the frames received since the last call."""
 
 
 class NodePort:
     """The drives of a machine as nodes in this process, in simulated time.
 
     Args:
-        machine: a cycle of it passes with every exchange.
-        nodes: receive the frames; by default one for each drive, with its node-id.
+        machine: runs one cycle with every exchange.
+        nodes: the nodes; by default one for each drive, with its node-id.
     """
 
     def __init__(self, machine: Machine, *nodes: Node):
@@ -37,7 +37,7 @@ class NodePort:
         return self._time * 1e-6
 
     def exchange(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Pass frames to the nodes, run a cycle, return their frames; one SDO request per cycle."""
+        """Pass frames to the nodes, run a cycle, and return the frames of the nodes."""
         for frame in frames:
             for node in self.nodes:
                 node.receive(frame, self._time)

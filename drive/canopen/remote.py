@@ -17,11 +17,11 @@ from .port import FramePort
 from .sdo_client import ATTEMPTS, SdoClient
 
 T = TypeVar("T")
-PDOS = 512  # of each direction at most (CiA 301)
-PATIENCE = 0.1  # s, that a PDO is believed without being asked about
-TIMES = 3  # that an RPDO is sent again; if its values are others then, the drive has changed them
-EVIDENT = {"controlword", "modes_of_operation"}  # the drive shows by itself whether these came
-LATENCY = 0.02  # s; inferred: by then a drive has seen a start bit and its status bits are new
+PDOS = 512  # largest number in each direction (CiA 301)
+PATIENCE = 0.1  # s, for which the values of a PDO are trusted without a check by SDO
+TIMES = 3  # repetitions of an RPDO, after which a difference is a change by the drive
+EVIDENT = {"controlword", "modes_of_operation"}  # their arrival shows in the drive's state
+LATENCY = 0.02  # s; inferred: until the status bits show the effect of a command
 
 
 class CanOpenPort:
@@ -29,7 +29,7 @@ class CanOpenPort:
 
     Args:
         bus: `NodePort`, or `servogym.drive.wire.bus.CanPort` for a real bus.
-        nodes: node-id 1..127 of a drive called ``node``, or several node-ids by drive name.
+        nodes: node-id 1..127 of a drive named ``node``, or several node-ids by drive name.
         model: drive model that names the objects; `generic` names those of the standard.
         sdo_timeout: time-out of one SDO request (s).
         units: units of the drives, if their factors are known.
@@ -61,7 +61,7 @@ class CanOpenPort:
 
     @property
     def silence(self) -> float:
-        """Time (s) that passed until lost SDO transfers were begun anew."""
+        """Time (s) spent on SDO transfers that were repeated."""
         return sum(node.sdo.silence for node in self.nodes.values())
 
     def read(self, axis: str, name: str) -> int | float:
@@ -73,19 +73,19 @@ class CanOpenPort:
         return self.nodes[axis].upload(name)
 
     def write(self, axis: str, name: str, value: int | float) -> None:
-        """Set an object (drive units), by SDO, or by PDO with the next exchange."""
+        """Write an object (drive units) by PDO with the next exchange if mapped, else by SDO."""
         self.nodes[axis].write(name, value)
 
     def arrived(self, axis: str) -> bool:
-        """Whether a drive has what was sent to it; an RPDO that was lost is sent again."""
+        """Whether a drive has received what was sent to it; a lost RPDO is sent again."""
         return self.nodes[axis].arrived()
 
     def exchange(self, frames: Iterable[Frame] = (), *, sync: bool = True) -> list[Frame]:
         """Send frames, changed RPDOs, and a SYNC if a PDO needs one; -> the frames received.
 
         Args:
-            frames: are sent first.
-            sync: whether a SYNC may go out.
+            frames: frames to send first.
+            sync: whether a SYNC may be sent.
         """
         out = [*frames, *(frame for node in self.nodes.values() for frame in node.changed())]
         for frame in out:
@@ -123,15 +123,15 @@ class Pdo:
     places: dict[str, int] = field(default_factory=dict)  # object name -> byte
     heard: bool = False
     synchronous: bool = False
-    at: float = 0.0  # s, when it was sent or heard, or asked about last
-    unsure: bool = False  # sent, and nothing shows that it has come
-    again: int = 0  # how often it was sent again since something was written into it
+    at: float = 0.0  # s, when it was sent, received or last checked by SDO
+    unsure: bool = False  # it was sent, and nothing shows yet that it has arrived
+    again: int = 0  # repetitions since its data were last written
 
 
 class Answers:
-    """Counts SDO requests to a node-id and their answers, because one server answers each once.
+    """Counts SDO requests to a node-id and their answers, of which one server sends one each.
 
-    If requests of another master are heard, the counts prove nothing.
+    The counts prove nothing once requests of another master have been received.
     """
 
     def __init__(self, node_id: int):
@@ -154,7 +154,7 @@ class Answers:
 
     @property
     def twice(self) -> bool:
-        """Whether more than one server answers; one answer may be to an earlier request."""
+        """Whether more than one server answers; a single excess answer may be a late one."""
         return not self._shared and self._answers > self._requests + 1
 
 
@@ -180,11 +180,11 @@ class RemoteObjects:
     def nmt(self, command: NmtCommand) -> None:
         """Send an NMT command to the node."""
         for pdo in self._tpdos:
-            pdo.heard = False  # what the last one told may not be true any more
+            pdo.heard = False  # its values may be out of date
         self.port.exchange([Frame(Base.NMT, bytes([command, self.node_id]))])
 
     def changed(self) -> list[Frame]:
-        """The RPDOs written to since the last call, in that order."""
+        """Return the RPDOs written to since the last call, in that order."""
         now = self.port.now()
         for pdo in self._pending.values():
             pdo.at, pdo.unsure = now, True
@@ -203,9 +203,9 @@ class RemoteObjects:
     def read(self, name: str) -> int | float:
         """Read an object (drive units) from the last PDO that contains it, otherwise by SDO.
 
-        PDOs are not acknowledged, so values that may have been lost are verified by SDO: those of
-        an RPDO once, and it is sent again if they differ; those of a TPDO whenever it was not
-        received for `PATIENCE`.
+        PDOs are not acknowledged, so values that may have been lost are verified by SDO: an RPDO is
+        verified once and sent again if its values differ, a TPDO is verified whenever it has not
+        been received for `PATIENCE`.
         """
         now = self.port.now()
         for pdo in self._rpdos:
@@ -219,12 +219,12 @@ class RemoteObjects:
         return self.upload(name)
 
     def arrived(self) -> bool:
-        """Whether the drive has what RPDOs carried; what it does not have is sent again."""
+        """Whether the drive has the values of the RPDOs sent; if not, they are sent again."""
         asked = [pdo for pdo in self._rpdos if pdo.unsure and pdo.places.keys() - EVIDENT]
         return all([self._came(pdo) for pdo in asked])
 
     def _came(self, pdo: Pdo) -> bool:
-        """Ask the drive for what an RPDO carried; send it again if that is something else."""
+        """Verify the values of an RPDO by SDO; queue it again if they differ."""
         pdo.unsure = False
         if pdo.again == TIMES or self._asked(pdo) == pdo.data:
             return True
@@ -236,7 +236,7 @@ class RemoteObjects:
         """Read the present content of a PDO by SDO."""
         data = bytearray(pdo.data)
         for name, at in pdo.places.items():
-            with suppress(SdoAbort):  # what can only be written
+            with suppress(SdoAbort):  # a write-only object
                 value = self._model.number(name).pack(self.upload(name))
                 data[at : at + len(value)] = value
         return data
@@ -256,7 +256,7 @@ class RemoteObjects:
         row = self._model.number(name)
         data = row.pack(value)
         carriers = [pdo for pdo in self._rpdos if name in pdo.places]
-        for pdo in carriers:  # each that is sent later has to tell the same
+        for pdo in carriers:  # all of them, because a later one must not revert the value
             at = pdo.places[name]
             pdo.data[at : at + len(data)] = data
         if carriers:
@@ -294,11 +294,11 @@ class RemoteObjects:
                 pdo.data[at : at + len(data)] = data
         self._rpdos, self._tpdos = rpdos, tpdos
         self.synchronous = any(pdo.synchronous for pdo in (*rpdos, *tpdos))
-        for _ in range(ATTEMPTS):  # nobody answers it, and a second one does nothing
+        for _ in range(ATTEMPTS):  # it is not acknowledged, and a repetition has no effect
             self.nmt(NmtCommand.START)
 
     def listen(self) -> None:
-        """Read which TPDOs are valid and receive them from now on, without commanding anything."""
+        """Read the mapping of the valid TPDOs and receive them from now on; sends no command."""
         self._tpdos = self.pdos("tx")
 
     def poll(self, names: Iterable[str]) -> dict[str, int | float]:

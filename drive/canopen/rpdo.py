@@ -1,10 +1,10 @@
 """RPDOs on the bus: transmission types, deadlines and lengths (CiA 301, PDO).
 
 Data of types 0-240 take effect at the next SYNC, in some models type n at every n-th SYNC
-(`rpdo_counts_syncs`: Metronix ARS 2000 5.3.1, Festo CMMP-AS 3.3.1); types 254 and 255 at once. The
-event timer is a deadline that starts with the first RPDO. The PDO records are read when a
-communication object has changed, so looking up the PDO of a frame costs the same for 512 PDOs as
-for one.
+(`rpdo_counts_syncs`: Metronix ARS 2000 5.3.1, Festo CMMP-AS 3.3.1); types 254 and 255 take effect
+at once. The event timer is a deadline that starts with the first RPDO. The PDO records are read
+when a communication object has changed, so finding the PDO of a frame takes the same time for 512
+PDOs as for one.
 """
 
 from functools import partial
@@ -58,16 +58,14 @@ class Receiver:
         self._latched = drive.axes["sync"][own]
         self._timed_out = drive.axes["rpdo_timeout"][own]
         self._too_short = drive.axes["rpdo_too_short"][own]
-        self.reset()
 
     def reset(self) -> None:
-        """Restart, as after a reset of the communication."""
+        """Forget the RPDOs, as after a reset of the communication."""
         self._rpdos: dict[int, _Receive] = {}
         self._waiting: dict[int, _Receive] = {}
         self._late: set[int] = set()
         self._short: set[int] = set()
         self._timed_out[0] = self._too_short[0] = 0
-        self.configure()
 
     def configure(self) -> None:
         """Read 1400h… and 1600h…; a new deadline begins with the next RPDO."""
@@ -95,7 +93,7 @@ class Receiver:
         return bool(self._monitored)
 
     def _receive(self, rpdo: _Receive, data: bytes, time: int) -> None:
-        """Receive an RPDO; a short one is ignored, and of a long one the first bytes are used."""
+        """Receive an RPDO; a short one is ignored, excess bytes of a long one are dropped."""
         if rpdo.deadline:
             rpdo.heard_at = time
         if len(data) != rpdo.width:
@@ -145,7 +143,7 @@ class Receiver:
                 del self._waiting[number]
 
     def poll(self, time: int) -> None:
-        """Notice deadlines that have run out at `time` (µs)."""
+        """Report deadlines that have expired at `time` (µs)."""
         for rpdo in self._monitored:
             if rpdo.heard_at is not None and time - rpdo.heard_at > rpdo.deadline:
                 rpdo.heard_at, rpdo.failed = None, True

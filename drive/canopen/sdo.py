@@ -2,7 +2,7 @@
 
 There is one transfer at a time. Each request is answered or aborted; an abort by the client ends
 the transfer, and the server aborts if the client is silent for the time-out. In a block download
-any frame may be a segment. Only the expected one restarts the time-out, so requests of other
+any frame may be a segment. Only the expected segment restarts the time-out, so requests of other
 clients do not keep the transfer of a dead client alive.
 """
 
@@ -14,8 +14,8 @@ from ..objects.abort import Abort
 from ..objects.dictionary import ObjectDictionary
 
 TIME_OUT = 1_000_000  # µs between two frames of a transfer
-BLOCK_SIZE = 127  # segments a block
-LIMIT = 4096  # bytes a client may send for an object without a length of its own
+BLOCK_SIZE = 127  # segments in a block
+LIMIT = 4096  # longest download to an object of variable length (bytes)
 SIZELESS = range(0x2001, 0x3000)  # objects with the quirk `upload_without_size`
 _HEAD = struct.Struct("<BHB")
 _ANSWER = struct.Struct("<BHB4s")
@@ -56,7 +56,7 @@ class SdoServer:
         _SERVICES[data[0] >> 5](self, data)
 
     def poll(self, time: int) -> None:
-        """Abort a transfer whose client has fallen silent."""
+        """Abort a transfer whose client has exceeded the time-out."""
         if self._handler is not None and time - self._last > TIME_OUT:
             self._abort(Abort.TIME_OUT)
 
@@ -103,7 +103,7 @@ class SdoServer:
             return abort
         if slot.row.access in ("ro", "const"):
             return Abort.READ_ONLY
-        own = 0 if slot.raw else slot.row.size  # 0: of any length
+        own = 0 if slot.raw else slot.row.size  # 0: variable length
         self._limit = own or LIMIT
         if self._size is not None and self._size > self._limit:
             return Abort.LENGTH_TOO_HIGH
@@ -196,7 +196,7 @@ class SdoServer:
             self._last = time
             self._sequence = number
             self._data += data[1:]
-        if len(self._data) >= self._limit + 7:  # the last segment may be filled up
+        if len(self._data) >= self._limit + 7:  # the last segment may be padded
             self._abort(Abort.LENGTH_TOO_HIGH)
         elif last or number >= BLOCK_SIZE:
             if last and number == self._sequence:
@@ -224,7 +224,7 @@ class SdoServer:
             self._abort(Abort.COMMAND_SPECIFIER, data)
         elif kind == 3:  # start
             self._send_block()
-        elif kind == 2:  # what the client has received of the block
+        elif kind == 2:  # acknowledge of the received segments
             if data[1] > self._sequence:  # more than were sent
                 self._abort(Abort.SEQUENCE_NUMBER)
                 return

@@ -1,4 +1,4 @@
-"""The SDO client: reads and writes objects of a node, over any port (CiA 301, SDO).
+"""The SDO client: reads and writes objects of a node through any port (CiA 301, SDO).
 
 Transfers are expedited or segmented, which every node supports. Frames and time pass through a
 `FramePort`, which may be an emulated node in the same process or a real bus.
@@ -17,8 +17,8 @@ from .frame import Base, Frame
 from .port import FramePort
 
 T = TypeVar("T")
-ATTEMPTS = 3  # of a transfer, where an answer does not come or a segment is missing
-LOST = (Abort.TOGGLE_BIT, Abort.TIME_OUT)  # what either side says of a frame that is missing
+ATTEMPTS = 3  # of a transfer, if a frame is lost
+LOST = (Abort.TOGGLE_BIT, Abort.TIME_OUT)  # abort codes of either side for a lost frame
 
 
 class SdoClient:
@@ -26,7 +26,7 @@ class SdoClient:
 
     Args:
         port: port of the bus.
-        node_id: of the server, 1..127.
+        node_id: node-id of the server, 1..127.
         timeout: time-out of one request (s).
         attempts: number of attempts before `Timeout` is raised, 1 or more.
 
@@ -45,10 +45,10 @@ class SdoClient:
         self._node_id = node_id
         self._timeout = timeout
         self._attempts = attempts
-        self.silence = 0.0  # s, that passed until a lost transfer was begun anew
+        self.silence = 0.0  # s, spent on transfers that were repeated
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object. Raises SdoAbort if refused, Timeout without an answer."""
+        """Read an object's bytes. Raises SdoAbort if refused, Timeout without an answer."""
         return self._repeated(lambda: self._upload(index, subindex))
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
@@ -99,7 +99,7 @@ class SdoClient:
             toggle ^= 0x10
 
     def _initiate(self, request: bytes, specifier: int) -> bytes:
-        """Start a transfer; answers that name another object are late ones and are ignored."""
+        """Start a transfer; late answers, which name another object, are ignored."""
         head = request[1:4]
         return self._ask(request, specifier, head, lambda answer: answer[1:4] == head)
 
@@ -138,7 +138,7 @@ class SdoClient:
                 )
 
     def _give_up(self, code: Abort, head: bytes) -> None:
-        """Notify the server, as CiA 301 requires."""
+        """Abort the transfer at the server, as CiA 301 requires."""
         data = b"\x80" + head + struct.pack("<I", code)
         self._port.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)])
 

@@ -1,4 +1,4 @@
-"""The SDO servers of a node: the default one, and those of 1201h… (CiA 301, SDO parameter)."""
+"""The SDO servers of a node: the default one and those of 1201h… (CiA 301, SDO parameter)."""
 
 from collections.abc import Callable
 
@@ -7,26 +7,24 @@ from ..objects.dictionary import indices
 from .frame import Base, Route
 from .sdo import SdoServer
 
-INVALID = 0x8000_0000  # bit 31 of either identifier
+INVALID = 0x8000_0000  # bit 31 of a COB-ID
 
 
 class SdoServers:
-    """`sender` makes, for an identifier, what sends data with it."""
+    """The servers of a drive; `sender` returns the function that sends with an identifier."""
 
     def __init__(self, drive: Drive, sender: Callable[[int], Callable[[bytes], None]]):
         self._drive = drive
         self._sender = sender
         known = indices(drive.model)
         self._numbers = [0, *(n for n in range(1, 128) if 0x1200 + n in known)]
-        self.reset()
 
     def reset(self) -> None:
-        """Restart, as after a reset of the communication."""
+        """Drop all servers, as after a reset of the communication."""
         self.servers: dict[int, SdoServer] = {}
-        self.configure()
 
     def configure(self) -> None:
-        """Read 1201h…; the default server has the identifiers of the node-id."""
+        """Read 1201h…; the identifiers of the default server follow from the node-id."""
         before, self.servers = self.servers, {}
         self.routes: list[Route] = []
         for number in self._numbers:
@@ -46,6 +44,6 @@ class SdoServers:
         return value(index, 1), value(index, 2)
 
     def stop(self) -> None:
-        """End the transfers, as in STOPPED."""
+        """End all transfers, as on entering STOPPED."""
         for server in self.servers.values():
             server.reset()

@@ -11,14 +11,11 @@ class Sync:
     def __init__(self, drive: Drive, emergency: Emergency):
         self._objects = drive.objects
         self._emergency = emergency
-        self.reset()
 
     def reset(self) -> None:
-        """Forget the last SYNC; a producer begins with counter 1."""
-        self.produces = False
-        self._period = self._overflow = 0
+        """Forget the last SYNC; a producer starts with counter 1."""
+        self.produces, self._period = False, 0
         self._opened_at: int | None = None
-        self.configure()
         self.stop()
 
     def configure(self) -> None:
@@ -34,14 +31,15 @@ class Sync:
             self.stop()
 
     def stop(self) -> None:
-        """Enter STOPPED: the producer pauses and restarts with counter 1."""
+        """Stop the producer; it restarts with counter 1."""
         self._next: int | None = None
         self._counter = 0
 
     def take(self, data: bytes, time: int) -> int | None:
         """Counter of a SYNC received at `time` (µs), 0 without one; None if its length is wrong.
 
-        1019h says whether a counter is expected; a SYNC of another length is not used (inferred).
+        1019h determines whether a counter is expected. A SYNC of another length is ignored
+        (inferred).
         """
         if len(data) != (1 if self._overflow else 0):
             self._emergency.report(ErrorCode.SYNC_LENGTH, "sync")
@@ -51,11 +49,11 @@ class Sync:
         return data[0] if data else 0
 
     def produce(self, time: int) -> bytes | None:
-        """Data of the SYNC that is due at `time` (µs); None if none is."""
+        """Data of the SYNC that is due at `time` (µs); None if none is due."""
         if not self.produces or (self._next is not None and time < self._next):
             return None
         self._next = (time if self._next is None else self._next) + self._period
-        if self._next <= time:  # whoever polls this seldom loses some
+        if self._next <= time:  # a very late poll skips some
             self._next = time + self._period
         if not self._overflow:
             return b""
@@ -63,7 +61,7 @@ class Sync:
         return bytes([self._counter])
 
     def open(self, time: int) -> bool:
-        """Whether synchronous PDOs may be used at `time` (µs): inside the window of 1007h."""
+        """Whether synchronous PDOs are valid at `time` (µs): within the window 1007h."""
         if not self._window or self._opened_at is None:
             return True
         return time - self._opened_at <= self._window

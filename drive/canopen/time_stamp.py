@@ -5,6 +5,7 @@ import struct
 from typing import NamedTuple
 
 from ..drive import Drive
+from .frame import Route
 
 _EPOCH = datetime.datetime(1984, 1, 1)
 _TIME_OF_DAY = struct.Struct("<IH")
@@ -27,22 +28,20 @@ class TimeStamp:
 
     def __init__(self, drive: Drive):
         self._objects = drive.objects
-        self.reset()
 
     def reset(self) -> None:
         """Forget the time."""
         self.last: TimeOfDay | None = None
         self.received_at = 0  # µs, the node's time
-        self.configure()
 
     def configure(self) -> None:
         """Read 1012h."""
         cob_id = self._objects.value(0x1012)
-        self.consumes = bool(cob_id & 0x8000_0000)
-        self.identifier = cob_id & 0x7FF
+        consumes = cob_id & 0x8000_0000
+        self.routes: list[Route] = [(cob_id & 0x7FF, self.take)] if consumes else []
 
     def take(self, data: bytes, time: int) -> None:
-        """Process a TIME message; a wrong length, or a time beyond the day, is ignored."""
+        """Process a TIME message; one of wrong length or beyond midnight is ignored."""
         if len(data) != _TIME_OF_DAY.size:
             return
         milliseconds, days = _TIME_OF_DAY.unpack(data)
@@ -51,7 +50,7 @@ class TimeStamp:
             self.last, self.received_at = TimeOfDay(days, milliseconds), time
 
     def now(self, time: int) -> TimeOfDay | None:
-        """Time of day at `time` (µs), continued from the last message; None before the first."""
+        """Time of day at `time` (µs), extrapolated from the last message; None before the first."""
         if self.last is None:
             return None
         passed = self.last.milliseconds + (time - self.received_at) // 1000

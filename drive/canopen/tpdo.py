@@ -1,8 +1,9 @@
 """TPDOs on the bus: transmission types, SYNC, events, inhibit and event timers (CiA 301, PDO).
 
-Type 0 is sent at the SYNC after a change, 1-240 every n-th SYNC, 252 is sampled at SYNC and sent on
-request, 253 on request, 254 and 255 on a change of the data and by the event timer, never faster
-than the inhibit time. The PDO records are read when a communication object has changed.
+Type 0 is sent at the SYNC after a change and types 1-240 at every n-th SYNC. Type 252 is sampled at
+SYNC and sent on request, type 253 is sent on request. Types 254 and 255 are sent on a change of the
+data and by the event timer, no faster than the inhibit time allows. The PDO records are read when a
+communication object has changed.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,7 @@ class _Transmit:
     def configure(
         self, cob_id: int, kind: int, inhibit: int, timer: int, start: int, width: int
     ) -> None:
-        """Take over parameters; if type or length has changed, the PDO restarts."""
+        """Set the parameters; if type or length has changed, the PDO restarts."""
         self._identifier = cob_id & 0x7FF
         self._inhibit, self._timer, self._sync_start = inhibit * 100, timer * 1000, start
         if self._number == 1:
@@ -45,7 +46,7 @@ class _Transmit:
             self._inhibit = max(self._inhibit, gap)
         self._periodic = kind == CYCLIC and bool(self._drive.model.quirk("cyclic_event"))
         if self._periodic:
-            self._timer = self._inhibit  # 0: not sent at all (inferred)
+            self._timer = self._inhibit  # 0: never sent (inferred)
         self._mask = self._transmit_mask(kind)
         if (kind, width) != (self.kind, self._width):
             self.kind, self._width = kind, width
@@ -53,7 +54,7 @@ class _Transmit:
             self.start()
 
     def _transmit_mask(self, kind: int) -> int | None:
-        """Bits whose change triggers the PDO (2014h… of some models); None for all bits."""
+        """Bits whose change triggers the PDO (2014h… in some models); None for all bits."""
         if kind != ON_CHANGE or not self._drive.model.quirk("transmit_masks"):
             return None
         objects, index = self._drive.objects, FIRST_MASK + self._number
@@ -71,7 +72,7 @@ class _Transmit:
         """Restart, as on entering OPERATIONAL: event-driven PDOs are sent once."""
         self._last: bytes | None = None
         self._sampled = b""
-        self._sent_at = -(1 << 62)  # when it was due, so that a late poll does not add up
+        self._sent_at = -(1 << 62)  # when it was due, so that a late poll does not shift the next
         self._syncs = 0
 
     def _content(self) -> bytes:
@@ -84,7 +85,7 @@ class _Transmit:
         return Frame(self._identifier, data)
 
     def sync(self, counter: int, time: int) -> Frame | None:
-        """Return the data to send at a SYNC; `counter` is 0 if the SYNC has none."""
+        """Return the frame to send at a SYNC; `counter` is 0 if the SYNC has none."""
         kind = self.kind
         if kind == RTR_SYNC:
             self._sampled = self._content()
@@ -92,8 +93,8 @@ class _Transmit:
         if kind == 0:
             data = self._content()
             return self._frame(data, time) if data != self._last else None
-        # the SYNC with the start value counts as the first, and is the first to be answered
-        # (inferred); without a start value the n-th is
+        # with a start value, the SYNC that has it is the first one and is answered (inferred);
+        # without it, the n-th SYNC is the first to be answered
         by_counter = counter and self._sync_start
         if by_counter and self._syncs == 0 and counter != self._sync_start:
             return None
@@ -103,7 +104,7 @@ class _Transmit:
         return None
 
     def poll(self, time: int) -> Frame | None:
-        """Return the data to send by event or event timer at `time` (µs)."""
+        """Return the frame to send by event or event timer at `time` (µs)."""
         waited = time - self._sent_at
         if waited < self._inhibit:
             return None
@@ -114,7 +115,7 @@ class _Transmit:
         return self._frame(data, time) if self._changed(data) else None
 
     def request(self, time: int) -> Frame:
-        """Answer to a remote frame (RTR)."""
+        """Answer a remote frame (RTR)."""
         sampled = self.kind == RTR_SYNC and self._sampled
         return self._frame(self._sampled if sampled else self._content(), time)
 
@@ -128,7 +129,6 @@ class Transmitter:
         self._drive = drive
         self._send = send
         self._tpdos: dict[int, _Transmit] = {}
-        self.configure()
 
     def configure(self) -> None:
         """Read 1800h… and 1A00h…."""
@@ -157,7 +157,7 @@ class Transmitter:
             tpdo.start()
 
     def sync(self, counter: int, time: int) -> list[Frame]:
-        """Send the TPDOs for a SYNC at `time` (µs), within the synchronous window."""
+        """Return the TPDOs for a SYNC at `time` (µs), to be sent within the synchronous window."""
         return [f for tpdo in self._at_sync if (f := tpdo.sync(counter, time))]
 
     def poll(self, time: int) -> None:

@@ -1,4 +1,4 @@
-"""A CAN adapter that may fail: a python-can bus that lets a node survive trouble on it."""
+"""A CAN adapter that may fail: wraps a python-can bus so that a node survives its faults."""
 
 import time
 from collections import deque
@@ -9,8 +9,8 @@ import can
 
 from .bus import TROUBLE, Echoes
 
-QUEUE = 256  # messages that wait for the bus; then the oldest is lost
-PATIENCE = 1.0  # s a message waits, and between two attempts to open the bus anew
+QUEUE = 256  # waiting messages; when full, the oldest is lost
+PATIENCE = 1.0  # s, for which a message waits, and between two attempts to reopen the bus
 
 
 class Adapter:
@@ -22,7 +22,7 @@ class Adapter:
     disturbance are reported once each.
 
     Args:
-        bus: the bus; `shutdown` ends it.
+        bus: the bus; `shutdown` closes it.
         reopen: opens the bus again if it does not recover by itself.
         tell: called with a line for the user.
     """
@@ -32,8 +32,8 @@ class Adapter:
         tell: Callable[[str], None] = lambda text: None,
     ):
         self.bus = bus
-        self.failed = 0  # attempts to send or receive
-        self.lost = 0  # messages
+        self.failed = 0  # failed attempts to send or receive
+        self.lost = 0  # lost messages
         self._reopen = reopen
         self._tell = tell
         self._waiting: deque[tuple[float, can.Message]] = deque()
@@ -76,7 +76,7 @@ class Adapter:
                 return
 
     def recv(self, timeout: float) -> can.Message | None:
-        """Return the next message of others, None after `timeout` (s) or an own one."""
+        """Return the next message of others; None after `timeout` (s) or for an echo."""
         if self._waiting:
             self.flush()
         try:
@@ -97,17 +97,17 @@ class Adapter:
         if self._trouble_since is None:
             self._trouble_since = self._opened_at = now
             reason = " ".join(str(error).split())
-            self._tell(f"the bus fails: {reason}; the drive goes on and tries again")
+            self._tell(f"the bus fails: {reason}; the drive keeps running and retries")
         elif self._reopen and now - self._opened_at > PATIENCE:
             self._opened_at = now
             self._open_anew(self._reopen)
 
     def _open_anew(self, reopen: Callable[[], can.BusABC]) -> None:
-        with suppress(Exception):  # of a device that is gone; each back-end has its own
+        with suppress(Exception):  # back-ends raise their own exceptions for a removed device
             self.bus.shutdown()
         try:
             self.bus = reopen()
-        except Exception:  # not there yet
+        except Exception:  # the device is still missing
             self.failed += 1
 
     def _works(self) -> None:

@@ -1,4 +1,4 @@
-"""Drives as EtherCAT slaves on Ethernet ports."""
+"""Serves drives as EtherCAT slaves on Ethernet ports."""
 
 import select
 import time
@@ -16,17 +16,17 @@ class Port(Protocol):
     name: str
 
     def receive(self, buffer: memoryview) -> int:
-        """Read a frame; -> its length, 0 for none."""
+        """Read a frame; -> its length, 0 if none has arrived."""
 
     def send(self, frame: memoryview) -> None:
         """Send a frame."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
     @property
     def socket(self):
-        """The file descriptor on which to wait."""
+        """The socket or file descriptor to wait on."""
 
 
 class EtherCatServer:
@@ -36,7 +36,7 @@ class EtherCatServer:
         bus: the segment and its machines.
         ports: Ethernet ports.
         log: capture of all frames.
-        tell: called once with a line for each thing that the user of a master should know.
+        tell: called once with each hint for the user of a master.
     """
 
     def __init__(

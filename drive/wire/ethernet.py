@@ -14,18 +14,18 @@ from pathlib import Path
 
 from ..ethercat.frame import ETHERTYPE, UDP_PORT
 
-AWAKE = 60_000  # ns without sleep after a frame: a sleeping core takes 20 to 50 µs to wake
-HEADER = bytes.fromhex("ffffffffffff 010101010101 88a4")  # in front of what comes by UDP
-WAIT = struct.pack("ll", 0, 1000)  # for a frame (SO_RCVTIMEO: s, µs)
+AWAKE = 60_000  # ns of polling after a frame, because a sleeping core takes 20 to 50 µs to wake
+HEADER = bytes.fromhex("ffffffffffff 010101010101 88a4")  # precedes the payload of UDP
+WAIT = struct.pack("ll", 0, 1000)  # time-out of a read (SO_RCVTIMEO: s, µs)
 
 
 def _wait(port: socket.socket) -> None:
-    """Let `recv_into` wait in the kernel, which saves a system call compared with `settimeout`."""
+    """Let `recv_into` wait in the kernel, which takes one system call less than `settimeout`."""
     port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, WAIT)
 
 
 class RawPort:
-    """A network interface with Ethernet frames of type 88A4h (Linux).
+    """A network interface for Ethernet frames of type 88A4h (Linux).
 
     Args:
         interface: name, such as ``eth0``.
@@ -33,7 +33,7 @@ class RawPort:
 
     Raises:
         ValueError: the interface does not exist, is not permitted or is served already, or the
-            system has no raw sockets; the message gives the remedy.
+            system has no raw sockets; the message states the remedy.
     """
 
     def __init__(self, interface: str, otherwise: str = ""):
@@ -44,8 +44,7 @@ class RawPort:
         except OSError:
             self.close()
             raise ValueError(
-                f"interface {interface}: both would answer: is another `servogym ethercat` running "
-                "there?"
+                f"interface {interface} is served already: is another `servogym ethercat` running?"
             ) from None
         _wait(self.socket)
         self.name, self._awake = interface, 0
@@ -62,16 +61,16 @@ class RawPort:
         return length
 
     def _look(self, buffer: memoryview) -> int:
-        """Look for the next frame without sleeping, for a while after the last."""
+        """Poll for the next frame without sleeping, for `AWAKE` after the last one."""
         while time.perf_counter_ns() < self._awake:
             try:
                 return self.socket.recv_into(buffer, 0, socket.MSG_DONTWAIT)
             except BlockingIOError:
-                os.sched_yield()  # who sends it may need the core
+                os.sched_yield()  # the sender may need the core
         return 0
 
     def send(self, frame: memoryview) -> None:
-        """Send a frame; if the interface has no room for it, it is lost, as on a cable."""
+        """Send a frame; it is lost, as on a cable, if the interface's queue is full."""
         try:
             self.socket.send(frame)
         except OSError as error:
@@ -88,7 +87,7 @@ class UdpPort:
     """UDP port 88A4h: EtherCAT without raw sockets (ETG.1000.4, annex).
 
     Args:
-        address: to listen on.
+        address: address to listen on.
 
     Raises:
         ValueError: the address cannot be used.
@@ -107,7 +106,7 @@ class UdpPort:
         self._from: tuple[str, int] = "", 0
 
     def receive(self, buffer: memoryview) -> int:
-        """Read a frame and put an Ethernet header in front; -> its length, 0 for none."""
+        """Read a frame and prepend an Ethernet header; -> its length, 0 if none has arrived."""
         try:
             length, self._from = self.socket.recvfrom_into(buffer[len(HEADER) :])
         except BlockingIOError:
@@ -133,7 +132,7 @@ def raw_socket(interface: str, kind: int = ETHERTYPE, otherwise: str = "") -> so
         otherwise: what the caller can do without raw sockets, added to the remedies.
 
     Raises:
-        ValueError: no raw sockets, no right to them or no such interface, with the remedy.
+        ValueError: no raw sockets, no permission for them or no such interface; with the remedy.
     """
     if not hasattr(socket, "AF_PACKET"):
         raise ValueError(f"{sys.platform} has no raw sockets")
@@ -148,7 +147,7 @@ def raw_socket(interface: str, kind: int = ETHERTYPE, otherwise: str = "") -> so
         if shutil.which("unshare"):
             remedies.append("try it without a network: unshare -Urn")
         raise ValueError(
-            f"interface {interface}: raw sockets need the right CAP_NET_RAW: "
+            f"interface {interface}: raw sockets need the capability CAP_NET_RAW: "
             f"{', or '.join(remedies)}"
         ) from None
     try:
@@ -162,7 +161,7 @@ def raw_socket(interface: str, kind: int = ETHERTYPE, otherwise: str = "") -> so
 def _why(interface: str, error: OSError) -> str:
     if error.errno == errno.ENODEV:
         known = ", ".join(name for _, name in socket.if_nameindex())
-        return f"interface {interface}: there is none of this name, only {known}"
+        return f"interface {interface} does not exist: choose one of {known}"
     if error.errno == errno.ENETDOWN:
-        return f"interface {interface}: it is down: sudo ip link set {interface} up"
+        return f"interface {interface} is down: sudo ip link set {interface} up"
     return f"interface {interface}: {error.strerror}"

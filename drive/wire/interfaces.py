@@ -1,4 +1,4 @@
-"""Opens a bus of python-can: what cannot be opened is told in a line, with the way out."""
+"""Opens a python-can bus; an error is one line that says the next step."""
 
 import inspect
 import re
@@ -9,18 +9,18 @@ import can
 
 from ..model.names import hint
 
-OWN = {  # keywords of `can.Bus` itself, and those that every interface may be given
+OWN = {  # keywords of `can.Bus` itself, and those that every interface accepts
     "interface", "channel", "config_context", "bitrate", "fd", "data_bitrate", "timing",
     "single_handle",
 }
 
 
-def told(given: Mapping[str, Any], named: Callable[[str], str]) -> str:
-    """Name a bus as a person has: its interface, channel and further keywords.
+def described(given: Mapping[str, Any], named: Callable[[str], str]) -> str:
+    """Describe a bus by interface, channel and further keywords, as the user gave them.
 
     Args:
         given: keywords of ``can.Bus``.
-        named: the name under which the person gave one.
+        named: returns the user's name for a keyword.
     """
     further = [f"{name}={given[name]}" for name in sorted(given.keys() - OWN)]
     rows = {
@@ -35,10 +35,10 @@ def opened(given: Mapping[str, Any], named: Callable[[str], str] = str) -> can.B
 
     Args:
         given: keywords of ``can.Bus``; empty ones are left out.
-        named: see `told`.
+        named: see `described`.
 
     Raises:
-        ValueError: an interface, a channel or a keyword that cannot be had, in a line.
+        ValueError: unknown or unavailable interface, channel or keyword; the message is one line.
     """
     given = {name: value for name, value in given.items() if value != ""}
     if given.get("interface") == "udp_multicast":
@@ -54,7 +54,7 @@ def opened(given: Mapping[str, Any], named: Callable[[str], str] = str) -> can.B
         if missing := re.search(r"missing 1 required .*'(\w+)'", said):
             kind, said = "", f"give --{missing[1].replace('_', '-')}"
         raise ValueError(
-            f"no bus on {told(given, named)}: {kind}{said}; "
+            f"no bus on {described(given, named)}: {kind}{said}; "
             "without hardware use -i udp_multicast -c 239.74.163.2"
         ) from None
 
@@ -85,7 +85,7 @@ def _check(interface: str | None, context: str | None, keywords: Iterable[str]) 
             config={"interface": interface} if interface else None, context=context
         )["interface"]
         classes = _get_class_for_interface(interface).__mro__
-    except Exception:  # the bus itself gives a better message
+    except Exception:  # opening the bus gives a better message
         return
     known: set[str] = set()
     for cls in classes:
@@ -94,5 +94,5 @@ def _check(interface: str | None, context: str | None, keywords: Iterable[str]) 
     for keyword in keywords:
         if keyword not in known:
             raise ValueError(
-                f"--bus-kwargs {keyword}: -i {interface} does not know it; {hint(keyword, known)}"
+                f"--bus-kwargs {keyword}: unknown to -i {interface}; {hint(keyword, known)}"
             )

@@ -1,4 +1,4 @@
-"""Real time, as far as the system permits it: real-time priority and locked memory."""
+"""Real-time priority and locked memory, as far as the system permits."""
 
 import ctypes
 import gc
@@ -15,9 +15,9 @@ def ask(below: int = 0) -> list[str]:
     forked process inherits none of this and has to ask again.
 
     Args:
-        below: how far the priority lies below `PRIORITY`.
+        below: difference of the priority from `PRIORITY`.
 
-    Returns: what the system has refused, each with the permission it needs; empty if nothing.
+    Returns: the refused requests, each with the permission it needs.
     """
     missing = []
     gc.collect()

@@ -1,4 +1,4 @@
-"""Drives as CANopen nodes on a bus of python-can, in real time."""
+"""Serves drives as CANopen nodes on a python-can bus, in real time."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -14,12 +14,12 @@ from .bus import to_frame, to_message
 from .log import LogFile
 
 SDO_REQUESTS = range(0x601, 0x680)
-INITIATE = (1, 2)  # command specifiers of a download and an upload that begins
-WAIT = 0.0005  # s for a frame; what has a period of 1 ms is then in time
+INITIATE = (1, 2)  # command specifiers that initiate a download and an upload
+WAIT = 0.0005  # s, to wait for a frame; short enough for a period of 1 ms
 
 
 def arrival(message: can.Message | None) -> float:
-    """Time of arrival of a message (s of `time.monotonic`): its time stamp, if of this clock.
+    """Time of arrival of a message (s of `time.monotonic`) by its time stamp.
 
     Time stamps of another clock, or older than `Server.TOLERANCE`, are not used.
     """
@@ -35,7 +35,7 @@ class Statistics:
     received: int = 0
     sent: int = 0
     cycles: int = 0
-    missed: int = 0  # times the machine fell behind by more than `Server.TOLERANCE`
+    missed: int = 0  # times a machine fell behind by more than `Server.TOLERANCE`
     last_sdo: Frame | None = None  # the latest request that named an object
 
 
@@ -45,11 +45,11 @@ class Server:
     Simulated time follows the clock; if the computer cannot keep up, cycles are skipped and
     counted. A frame takes effect at the time at which it reached this computer, if the bus reports
     it (`arrival`). A server delayed by other programs therefore answers late, but the motion is the
-    same. The nodes hear each other. A failed bus is reopened, see `adapter`.
+    same. The nodes receive each other's frames. A failed bus is reopened, see `adapter`.
 
     Args:
         bus: the bus; `close` shuts it down.
-        machines: with drives of different node-ids.
+        machines: machines with drives of different node-ids.
         log: records all frames.
         reopen: opens the bus again if it does not recover by itself.
         tell: called with a line about trouble with bus or log.
@@ -124,14 +124,14 @@ class Server:
             self.log(message)
 
     def _pass_a_cycle(self) -> None:
-        """Let the drives see what one SDO request wrote before the next one is answered."""
+        """Run at least one cycle between two SDO requests, so that the first one takes effect."""
         while self.statistics.cycles == self._cycles_at_request:
             time.sleep(1e-4)
             self._advance(time.monotonic())
         self._cycles_at_request = self.statistics.cycles
 
     def skip(self, seconds: float) -> None:
-        """Continue the clock from the time of the machines, which were stepped ahead of it."""
+        """Advance the clock, because the machines have been stepped ahead of it (s)."""
         self._begin -= seconds
 
     def close(self) -> None:

@@ -78,7 +78,7 @@ def test_an_unknown_interface_is_told_with_those_there_are(refused, monkeypatch)
 
     monkeypatch.setattr(ethernet.socket, "socket", NoSuchDevice)
     error = refused(["ethercat", "-i", "nowhere0"])
-    assert "interface nowhere0: there is none of this name, only" in error
+    assert "interface nowhere0 does not exist: choose one of " in error
     assert "lo" in error
 
 

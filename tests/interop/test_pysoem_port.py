@@ -16,5 +16,5 @@ def test_one_master_enables_homes_and_moves_over_soem():
 def test_a_second_server_on_an_interface_is_refused_and_the_first_one_goes_on():
     status, said = on_the_wire("pysoem_port", "second_server", "--axis", "none")
     assert status == 2
-    assert said.startswith("servogym ethercat: interface va: both would answer")
+    assert said.startswith("servogym ethercat: interface va is served already")
     assert said.count("\n") == 1

@@ -40,7 +40,7 @@ def where(options: argparse.Namespace) -> str:
     """Return the options that name the bus."""
     from ...drive.wire import interfaces
 
-    return interfaces.told(keywords(options), option)
+    return interfaces.described(keywords(options), option)
 
 
 def keywords(options: argparse.Namespace) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 The PDO mapping starts as in the drive model and follows the reads and writes of 1400h.., 1600h..,
 1800h.. and 1A00h.. in the log. The bits of controlword and statusword are named according to the
-last mode of operation. The statusword bits voltage_enabled and remote, which are set in every state
-of a drive on a bus, are not printed.
+last mode of operation. The statusword bits voltage_enabled and remote are not printed, because they
+are set in every state of a drive on a bus.
 """
 
 from collections.abc import Callable, Iterable
@@ -31,7 +31,7 @@ class Decoder:
         model: the drive model of the nodes.
         node_ids: the nodes that are such drives; frames of others are shown as bytes.
         heard: called with node-id, object and value (drive units) of each number transferred by
-            PDO or SDO; for a write, once the drive has confirmed it.
+            PDO or SDO; for a write, after the drive has confirmed it.
 
     Raises:
         ValueError: unknown model, a node-id out of range.
@@ -56,7 +56,7 @@ class Decoder:
             if frame.id == Base.NMT:
                 text = self._nmt(frame)
             elif frame.id in lss.LSS:
-                text = lss.tell(frame)
+                text = lss.explain(frame)
             else:
                 text = self._service(frame)
         return text or f"unknown {frame}"
@@ -66,9 +66,9 @@ class Decoder:
                  for service in node.services[frame.id]]
         if not found:
             return None
-        # a PDO that is not valid, or a node never heard, gives way to one that is
+        # valid PDOs and nodes that have sent something take precedence over others
         best = min((service.rank, not node.alive) for service, node in found)
-        texts = [s.tell(frame) for s, node in found if (s.rank, not node.alive) == best]
+        texts = [s.explain(frame) for s, node in found if (s.rank, not node.alive) == best]
         return " | ".join(dict.fromkeys(text for text in texts if text))
 
     def _nmt(self, frame: Frame) -> str | None:

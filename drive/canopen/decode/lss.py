@@ -2,46 +2,48 @@
 
 import struct
 
-from ..frame import Frame
+from ..frame import Base, Frame
+from ..lss import Command
 
-REQUEST, RESPONSE = 0x7E5, 0x7E4
-ADDRESS = {64: "vendor_id", 65: "product_code", 66: "revision_number", 67: "serial_number"}
-IDENTIFY = {70: "vendor_id", 71: "product_code", 72: "revision_low", 73: "revision_high",
-            74: "serial_low", 75: "serial_high"}
-INQUIRE = {90: "vendor_id", 91: "product_code", 92: "revision_number", 93: "serial_number"}
+IDENTITY = ("vendor_id", "product_code", "revision_number", "serial_number")
+RANGES = (*IDENTITY[:2], "revision_low", "revision_high", "serial_low", "serial_high")
 RESULT = ("<BB", ("error", "specific"))
-LSS = {  # command specifier -> name, and the fields behind it
-    REQUEST: {
-        4: ("switch state global", "<B", ("mode",)),
-        17: ("configure node-id", "<B", ("node_id",)),
-        19: ("configure bit timing", "<BB", ("table", "entry")),
-        21: ("activate bit timing", "<H", ("delay",)),
-        23: ("store configuration", "<", ()),
-        76: ("identify non-configured", "<", ()),
-        81: ("fast scan", "<IBBB", ("id_number", "bit_check", "lss_sub", "lss_next")),
-        94: ("inquire node-id", "<", ()),
-        **{cs: ("switch state selective", "<I", (name,)) for cs, name in ADDRESS.items()},
-        **{cs: ("identify", "<I", (name,)) for cs, name in IDENTIFY.items()},
-        **{cs: (f"inquire {name}", "<", ()) for cs, name in INQUIRE.items()},
+LSS = {  # command specifier -> name, format and names of the fields behind it
+    Base.LSS_REQUEST: {
+        Command.SWITCH_GLOBAL: ("switch state global", "<B", ("mode",)),
+        Command.CONFIGURE_NODE_ID: ("configure node-id", "<B", ("node_id",)),
+        Command.CONFIGURE_BIT_TIMING: ("configure bit timing", "<BB", ("table", "entry")),
+        Command.ACTIVATE_BIT_TIMING: ("activate bit timing", "<H", ("delay",)),
+        Command.STORE: ("store configuration", "<", ()),
+        Command.IDENTIFY_NON_CONFIGURED: ("identify non-configured", "<", ()),
+        Command.FASTSCAN: ("fast scan", "<IBBB", ("id_number", "bit_check", "lss_sub", "lss_next")),
+        Command.INQUIRE_NODE_ID: ("inquire node-id", "<", ()),
+        **{Command.SWITCH_SELECTIVE + n: ("switch state selective", "<I", (name,))
+           for n, name in enumerate(IDENTITY)},
+        **{Command.IDENTIFY_REMOTE + n: ("identify", "<I", (name,))
+           for n, name in enumerate(RANGES)},
+        **{Command.INQUIRE_IDENTITY + n: (f"inquire {name}", "<", ())
+           for n, name in enumerate(IDENTITY)},
     },
-    RESPONSE: {
-        17: ("configure node-id", *RESULT),
-        19: ("configure bit timing", *RESULT),
-        23: ("store configuration", *RESULT),
-        68: ("state switched", "<", ()),
-        79: ("identified", "<", ()),
-        80: ("non-configured identified", "<", ()),
-        94: ("node-id", "<B", ("node_id",)),
-        **{cs: ("identity", "<I", (name,)) for cs, name in INQUIRE.items()},
+    Base.LSS_RESPONSE: {
+        Command.CONFIGURE_NODE_ID: ("configure node-id", *RESULT),
+        Command.CONFIGURE_BIT_TIMING: ("configure bit timing", *RESULT),
+        Command.STORE: ("store configuration", *RESULT),
+        Command.SELECTED: ("state switched", "<", ()),
+        Command.IDENTIFIED: ("identified", "<", ()),
+        Command.NON_CONFIGURED: ("non-configured identified", "<", ()),
+        Command.INQUIRE_NODE_ID: ("node-id", "<B", ("node_id",)),
+        **{Command.INQUIRE_IDENTITY + n: ("identity", "<I", (name,))
+           for n, name in enumerate(IDENTITY)},
     },
 }
 
 
-def tell(frame: Frame) -> str | None:
+def explain(frame: Frame) -> str | None:
     """Explain an LSS frame in one line; None if CiA 305 does not define it."""
     if frame.remote or len(frame.data) != 8:
         return None
-    service = LSS[frame.id].get(frame.data[0])
+    service = LSS[Base(frame.id)].get(frame.data[0])
     if service is None:
         return None
     name, format_, fields = service

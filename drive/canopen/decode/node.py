@@ -18,10 +18,10 @@ from ..node import NmtState
 from .sdo import Channel
 
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY, ERROR_CODE = 0x6040, 0x6041, 0x6060, 0x6061, 0x603F
-HEXADECIMAL = (CONTROLWORD, STATUSWORD, ERROR_CODE)  # and what has 32 bits below 2000h
-# statusword bits that stand in every state of a drive on a powered bus
+HEXADECIMAL = (CONTROLWORD, STATUSWORD, ERROR_CODE)  # and 32-bit objects below 2000h
+# statusword bits that are set in every state of a drive on a powered bus
 EVERYWHERE = ("voltage_enabled", "remote")
-# CiA 301, emergency error code classes; the longest that fits counts
+# CiA 301, emergency error code classes; the most specific one applies
 EMCY_CLASS = {
     0x0000: "no error", 0x1000: "generic error", 0x2000: "current", 0x3000: "voltage",
     0x4000: "temperature", 0x5000: "device hardware", 0x6000: "device software",
@@ -33,7 +33,7 @@ EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
 
 
 class ModelInfo:
-    """What a decoder uses of a drive model: objects with defaults, PDOs, names of faults."""
+    """The parts of a drive model that a decoder uses."""
 
     def __init__(self, model: DriveModel):
         self.rows = {(row.index, row.subindex): row for row in rows(model)}
@@ -45,14 +45,14 @@ class ModelInfo:
 
 
 class Service(NamedTuple):
-    """A service of a node on an identifier; those with the lowest rank are shown."""
+    """A service of a node on an identifier; the services with the lowest rank are shown."""
 
-    tell: Callable[[Frame], str | None]
+    explain: Callable[[Frame], str | None]
     rank: int = 0
 
 
 class Node:
-    """The state of one node as far as the log has shown it."""
+    """The state of one node as far as the log shows it."""
 
     def __init__(
         self, drive: ModelInfo, node_id: int, changed: Callable[["Node", Iterable[int]], None],
@@ -60,7 +60,7 @@ class Node:
     ):
         self._drive = drive
         self._heard = heard
-        self._changed = changed  # told the identifiers that this node had before
+        self._changed = changed  # called with the previous identifiers of this node
         self.id = node_id
         self.alive = False  # has sent something
         self.services: dict[int, list[Service]] = {}
@@ -71,7 +71,7 @@ class Node:
     def reset(self) -> None:
         """Return to the state after power-on: stored parameters, else the model's defaults."""
         self._seen = dict(self._stored)
-        self._mode: int | None = None  # last seen of 6060h and 6061h
+        self._mode: int | None = None  # last value of 6060h or 6061h
         self._guarded = False
         self._channel = Channel(self)
         self._listen()
@@ -88,7 +88,7 @@ class Node:
         """Register the services by identifier."""
         before = [*self.services]
         self.services = {}
-        for identifier, tell in (
+        for identifier, explain in (
             (self._value(0x1005, 0, Base.SYNC), self._sync),
             (self._value(0x1012, 0, 0x100), self._time),
             (self._value(0x1014, 0, Base.EMCY + self.id), self._emcy),
@@ -96,7 +96,7 @@ class Node:
             (Base.SDO_RESPONSE + self.id, self._response),
             (Base.ERROR_CONTROL + self.id, self._error_control),
         ):
-            self.services.setdefault(identifier & 0x7FF, []).append(Service(tell))
+            self.services.setdefault(identifier & 0x7FF, []).append(Service(explain))
         for index in self._drive.pdos:
             cob_id = self._value(index, 1)
             service = Service(partial(self._pdo, index), 2 if cob_id & INVALID else 1)
@@ -155,7 +155,7 @@ class Node:
             return " ".join([text, *decode_controlword(value, self._mode or 0, self._drive.modes)])
         if index == STATUSWORD:
             names = decode_statusword(value, self._mode or 0, self._drive.modes)
-            if self._mode is None:  # what the bit is where no mode says otherwise
+            if self._mode is None:  # the meaning of bit 10 in most modes
                 names = ["target_reached" if name == "bit_10" else name for name in names]
             return " ".join([text, *(name for name in names if name not in EVERYWHERE)])
         if index in (MODE, MODE_DISPLAY) and (value in self._drive.modes or value in {*Mode}):
@@ -232,7 +232,7 @@ class Node:
         for entry in entries:
             index, subindex, bits = mapping_entry(entry)
             if at + bits > 8 * len(frame.data):
-                parts = []  # a PDO that is too short is not used at all (CiA 301)
+                parts = []  # a PDO that is too short is ignored (CiA 301)
                 break
             value = image >> at & (1 << bits) - 1
             parts.append((index, subindex, bits, value))
@@ -240,7 +240,7 @@ class Node:
         if not parts:
             reason = "too short" if entries else "nothing mapped"
             return f"{head} {frame.data.hex(' ').upper()} ({reason})".replace("  ", " ")
-        for i, s, bits, value in parts:  # the mode first: it names the bits of the words
+        for i, s, bits, value in parts:  # the mode first, because it names the bits of the words
             if i in (MODE, MODE_DISPLAY):
                 self.learn(i, s, value.to_bytes(-(-bits // 8), "little"))
         texts = [self._part(*part) for part in parts]

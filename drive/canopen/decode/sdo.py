@@ -1,12 +1,13 @@
 """Decodes the SDO channel of one node in a log: expedited, segmented, block (CiA 301, SDO).
 
 Both sides are tracked, so the value of a segmented transfer is printed with its last segment.
-Frames that do not fit the transfer are shown as bytes, because a log may begin or end anywhere.
+Frames that do not fit the transfer are shown as bytes, because a log may start or end anywhere.
 """
 
 import binascii
 import struct
 from enum import Enum
+from functools import partial
 from typing import Protocol
 
 from ...objects.abort import TEXT
@@ -35,8 +36,8 @@ class _Phase(Enum):
 
     IDLE = 0
     SEGMENTS = 1
-    CLIENT_BLOCK = 2  # the client sends parts without a command
-    SERVER_BLOCK = 3  # the server does
+    CLIENT_BLOCK = 2  # the client sends segments without a command
+    SERVER_BLOCK = 3  # the server sends them
 
 
 class Channel:
@@ -52,9 +53,9 @@ class Channel:
         self._index = self._subindex = 0
         self._data = b""
         self._announced: int | None = None
-        self._block: list[bytes] = []  # parts that are not acknowledged yet
+        self._block: list[bytes] = []  # segments that are not acknowledged yet
         self._block_size = 127
-        self._last = 0  # number of the last part of all, once it has come
+        self._last = 0  # number of the very last segment, once it has been received
         self._crc = False
         self._written: bytes | None = None  # waits for the server's confirmation
 
@@ -104,18 +105,12 @@ class Channel:
         self._end()
         return text
 
-    def _abort(self, data: bytes, by: str) -> str:
+    def _abort(self, data: bytes, by: str = "") -> str:
         _, index, subindex = _HEAD.unpack_from(data)
         (code,) = struct.unpack_from("<I", data, 4)
         self._end()
         meaning = TEXT.get(code, "unknown abort code")  # type: ignore[call-overload]
         return f"abort {code:08X}h {meaning}: {self._objects.name(index, subindex)}{by}"
-
-    def _aborted_by_client(self, data: bytes) -> str:
-        return self._abort(data, ", by the client")
-
-    def _aborted_by_server(self, data: bytes) -> str:
-        return self._abort(data, "")
 
     # --------------------------------------------------- expedited, segmented
 
@@ -200,7 +195,7 @@ class Channel:
         return self._say(f", block part {number}{' (last)' * (data[0] >> 7)}")
 
     def _acknowledge(self, data: bytes, next_phase: _Phase) -> str:
-        """Note which segments the other side has received; the others are repeated."""
+        """Keep the segments that the other side has received; the others are repeated."""
         self._data += b"".join(self._block[: data[1]])
         self._block = []
         self._block_size = data[2]
@@ -272,7 +267,7 @@ _REQUESTS = {
     1: Channel._download,
     2: Channel._upload,
     3: Channel._upload_segment,
-    4: Channel._aborted_by_client,
+    4: partial(Channel._abort, by=", by the client"),
     5: Channel._block_upload,
     6: Channel._block_download,
 }
@@ -281,7 +276,7 @@ _RESPONSES = {
     1: Channel._segment_downloaded,
     2: Channel._uploaded,
     3: Channel._downloaded,
-    4: Channel._aborted_by_server,
+    4: Channel._abort,
     5: Channel._block_downloaded,
     6: Channel._block_uploaded,
 }
