@@ -223,7 +223,10 @@ def test_a_killed_node_leaves_a_readable_log(node):
         (["-i", "kvaser", "-c", "0"], "no bus on --interface kvaser"),
         (["-i", "slcan", "-c", "/dev/nothing"], "no bus on --interface slcan"),
         (["-i", "udp_multicast", "-c", "nowhere"], "no bus on --interface udp_multicast"),
-        (["-i", "udp_multicast", "--bus-kwargs", "prot=4"], "prot: unknown to -i udp_multicast; did you mean port"),
+        (
+            ["-i", "udp_multicast", "--bus-kwargs", "prot=4"],
+            "prot: unknown to -i udp_multicast; did you mean port",
+        ),
         (["-i", "virtual", "--bus-kwargs", "preserve_timestamp=1"], "mean preserve_timestamps"),
         (["--bus-config", "nothing"], "no bus on --bus-config nothing"),
         (["--drive", "kollmorgen_akd"], "use `servogym ethercat`"),

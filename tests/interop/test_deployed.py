@@ -113,7 +113,8 @@ def test_who_may_not_open_raw_sockets_reads_how_to_get_the_right():
         assert status == 2, (words, error)
         line, *others = error.splitlines()
         assert not others, (words, error)
-        assert "raw sockets need the capability CAP_NET_RAW: sudo setcap cap_net_raw+ep" in line, words
+        needed = "raw sockets need the capability CAP_NET_RAW: sudo setcap cap_net_raw+ep"
+        assert needed in line, words
 
 
 def same(bus, task, count):
