@@ -1,14 +1,15 @@
 """AL state machine: transitions, and the status codes of refusals.
 
 Source: ETG.1000.6, 6.4.1 (states, AL Control, AL Status) and table 11 (status codes); ETG.1020,
-error acknowledge and explicit device identification. Departures of a model are rows of its
-`ethercat.toml`.
+error acknowledge and explicit device identification. The table [al] of a model's `ethercat.toml`
+states its departures.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from enum import IntEnum
 from typing import ClassVar
+
+from ..model.ethercat import Al
 
 
 class AlState(IntEnum):
@@ -61,33 +62,6 @@ ERROR = ACKNOWLEDGE = 0x10  # bit 4: error of the drive, acknowledged by the mas
 IDENTIFICATION = 0x20  # bit 5: 0134h shows the identification value
 
 
-@dataclass(frozen=True)
-class AlRules:
-    """How a model's state machine departs from the standard's: table [al] of `ethercat.toml`."""
-
-    bootstrap: bool = True
-    by_edge: bool = False  # bit 4 acknowledges by its rising edge only
-    init_acknowledges: bool = True  # a request of INIT needs no bit 4
-    codes: Mapping[str, int] = field(default_factory=dict)  # by name of `AlStatusCode`
-
-    def code(self, code: AlStatusCode) -> int:
-        """The model's number for a code of the standard."""
-        return self.codes.get(code.name.lower(), int(code))
-
-    def answer(self, state: AlState, request: int) -> tuple[AlState, int]:
-        """State and code after a request with no error pending, before the drive's own checks."""
-        if request not in AlState.__members__.values():
-            return state, self.code(AlStatusCode.UNKNOWN_STATE)
-        wanted = AlState(request)
-        if wanted == state:
-            return state, 0
-        if wanted == _B and not self.bootstrap:
-            return state, self.code(AlStatusCode.BOOTSTRAP_NOT_SUPPORTED)
-        if (state, wanted) not in TRANSITIONS:
-            return state, self.code(AlStatusCode.INVALID_STATE_CHANGE)
-        return wanted, 0
-
-
 class AlMachine:
     """The state machine of one slave; nothing else writes its state.
 
@@ -101,7 +75,7 @@ class AlMachine:
     KEPT: ClassVar = ("error", "_error_code", "_acknowledge", "_identify")  # in a snapshot
 
     def __init__(
-        self, rules: AlRules, check: Callable[[AlState, AlState], AlStatusCode],
+        self, rules: Al, check: Callable[[AlState, AlState], AlStatusCode],
         entered: Callable[[AlState, AlState], None], identification: Callable[[], int],
     ):
         self._rules = rules
@@ -142,21 +116,36 @@ class AlMachine:
         if self.error and not acknowledged:
             return
         self.error, self._error_code = False, 0
-        wanted, code = self._rules.answer(self.state, request)
-        if not code and wanted > self.state:
-            code = self._rules.code(self._check(self.state, wanted))
+        if request == self.state:
+            return
+        code = self._refusal(request)
         if code:
             self._refuse(code)
-        elif wanted != self.state:
-            self._enter(wanted)
+        else:
+            self._enter(AlState(request))
 
-    def fail(self, code: AlStatusCode | int, state: AlState) -> None:
+    def _refusal(self, request: int) -> AlStatusCode:
+        """The reason to refuse a request of another state, or NO_ERROR."""
+        if request not in AlState.__members__.values():
+            return AlStatusCode.UNKNOWN_STATE
+        if request == AlState.BOOTSTRAP and not self._rules.bootstrap:
+            return AlStatusCode.BOOTSTRAP_NOT_SUPPORTED
+        if (self.state, request) not in TRANSITIONS:
+            return AlStatusCode.INVALID_STATE_CHANGE
+        if request > self.state:
+            return self._check(self.state, AlState(request))
+        return AlStatusCode.NO_ERROR
+
+    def fail(self, code: int, state: AlState) -> None:
         """Show an error of the drive, and enter `state` if it is lower than the present one."""
-        self._refuse(self._rules.code(code) if isinstance(code, AlStatusCode) else code)
+        self._refuse(code)
         if state < self.state:
             self._enter(state)
 
     def _refuse(self, code: int) -> None:
+        """Show an error; the model may have its own number for a code of the standard."""
+        if isinstance(code, AlStatusCode):
+            code = self._rules.codes.get(code.name.lower(), int(code))
         self.error, self._error_code = True, code
 
     def _enter(self, state: AlState) -> None:

@@ -3,7 +3,7 @@
 The configuration in the capture is tracked (station addresses, sync managers, FMMUs, PDO assignment
 and mapping), so process data of any bus are named by objects. The drive model of a slave follows
 from its identity in the EEPROM unless one is given. Only changes of process data are printed. An
-outgoing frame is remembered, because slaves overwrite what the master wrote.
+outgoing frame is kept until it returns, because slaves overwrite the data in it.
 """
 
 import functools
@@ -18,7 +18,7 @@ from ..model.pdo import mapping_entry
 from ..objects.abort import TEXT
 from .al import AlState, AlStatusCode
 from .coe_header import Service
-from .controller.registers import REGISTERS_TABLE, R
+from .controller.registers import REGISTERS_TABLE, Effect, R
 from .description import describe
 from .frame import LOGICAL, NAMES, Command, Datagram, body_of, unpack
 from .mailbox import HEADER, Kind
@@ -27,18 +27,18 @@ READS = (Command.APRD, Command.FPRD, Command.BRD, Command.LRD)
 POSITION = (Command.APRD, Command.APWR, Command.APRW, Command.ARMW)
 BROADCAST = (Command.BRD, Command.BWR, Command.BRW)
 PASSED = 2  # bit of the source address that slaves set
-RETURNED = 6  # byte of the frame with it
+RETURNED = 6  # byte of the frame that contains it
 ASSIGNMENTS = {0x1C12: 2, 0x1C13: 3}
-IDENTITY = 8  # word of the EEPROM: vendor and product
+IDENTITY = 8  # word of the EEPROM from which vendor and product start
 # bits of AL Control and AL Status (ETG.1000.6, 5.3.1 and 5.3.2)
-AL_CONTROL_BITS = ((0x10, "acknowledge"), (0x20, "identification asked for"))
+AL_CONTROL_BITS = ((0x10, "acknowledge"), (0x20, "identification requested"))
 AL_STATUS_BITS = ((0x10, "error bit"), (0x20, "identification shown"))
-EEPROM_COMMANDS = {0: "idle", 1: "read", 2: "write", 4: "reload"}
+EEPROM_COMMANDS = {2: "write", 4: "reload"}
 EEPROM_ERRORS = (  # bits of 0502h
     (0x0800, "checksum wrong"), (0x1000, "not loaded"), (0x2000, "refused"),
     (0x4000, "write not enabled"),
 )
-QUIET = {  # polled again and again: told when they change
+QUIET = {  # polled registers, which are printed when they change
     R.AL_STATUS, R.AL_STATUS_CODE, R.SYNC_MANAGER + 5, R.SYNC_MANAGER + 13, R.DL_STATUS,
     R.EEPROM_CONTROL, R.SYSTEM_TIME, R.SYSTEM_TIME_DIFFERENCE,
 }
@@ -46,7 +46,8 @@ QUIET = {  # polled again and again: told when they change
 
 def _registers() -> dict[int, str]:
     """Name of the register that begins at an address."""
-    names = {row.address: row.name for row in REGISTERS_TABLE if row.effect not in (3, 4)}
+    many = (Effect.SYNC_MANAGER, Effect.FMMU)  # a row for each byte
+    names = {row.address: row.name for row in REGISTERS_TABLE if row.effect not in many}
     return names | {
         R.AL_STATUS_CODE: "AL status code", R.EEPROM_CONTROL: "EEPROM control and status",
     }
@@ -57,7 +58,7 @@ REGISTERS = _registers()
 
 @dataclass
 class _Fmmu:
-    """Logical bytes of a slave."""
+    """An FMMU; `kind` is 0 unless it maps whole bytes."""
 
     logical: int
     length: int
@@ -67,7 +68,7 @@ class _Fmmu:
 
 @dataclass
 class _Slave:
-    """The state of a slave as far as the capture has shown it."""
+    """The state of a slave as far as the capture shows it."""
 
     name: str
     model: DriveModel | None
@@ -75,45 +76,43 @@ class _Slave:
     fmmus: dict[int, _Fmmu] = field(default_factory=dict)
     assigned: dict[int, list[int]] = field(default_factory=dict)  # sync manager -> PDOs
     mapped: dict[int, list[int]] = field(default_factory=dict)  # PDO -> entries
-    values: dict[tuple[int, int], int] = field(default_factory=dict)  # as told last
+    values: dict[tuple[int, int], int] = field(default_factory=dict)  # as printed last
     polled: dict[int, bytes] = field(default_factory=dict)
-    word: int = -1  # of the EEPROM that is read
+    word: int = -1  # address in the EEPROM that is being read
     vendor: bytes = b""
     written: tuple[int, int, bytes] | None = None  # by SDO, waits for the answer
     mode: int = 0
 
     def entries(self, manager: int) -> list[int]:
         """Mapped objects of a sync manager according to the capture or the model."""
+        defaults = _mappings(self.model) if self.model else {}
         pdos = self.assigned.get(manager)
-        index = {2: 0x1C12, 3: 0x1C13}[manager]
         if pdos is None:
-            count = self._default(index, 0)
-            pdos = [self._default(index, n + 1) for n in range(count)]
-        found: list[int] = []
-        for pdo in pdos:
-            found += self.mapped.get(pdo, self._mapping(pdo))
-        return found
+            index = next(index for index, number in ASSIGNMENTS.items() if number == manager)
+            pdos = [self._default(index, n + 1) for n in range(self._default(index, 0))]
+        return [entry for pdo in pdos for entry in self.mapped.get(pdo, defaults.get(pdo, []))]
 
     def _default(self, index: int, subindex: int) -> int:
-        row = self.model.objects.get((index, subindex)) if self.model else None
+        row = self.row(index, subindex)
         return int(row.default or 0) if row else 0
 
-    def _mapping(self, pdo: int) -> list[int]:
-        return _mappings(self.model).get(pdo, []) if self.model else []
+    def row(self, index: int, subindex: int) -> Object | None:
+        """The row of an object; None if the model does not have it or is unknown."""
+        return self.model.objects.get((index, subindex)) if self.model else None
 
     def object(self, index: int, subindex: int) -> str:
         """Name of an object, or its address if it is unknown."""
-        row = self.model.objects.get((index, subindex)) if self.model else None
+        row = self.row(index, subindex)
         return row.name if row else f"{index:04X}h:{subindex:02X}"
 
-    def tell(self, index: int, subindex: int, data: bytes) -> str:
+    def text(self, index: int, subindex: int, data: bytes) -> str:
         """Format a value with the name of its object."""
         if 0x1600 <= index < 0x1C00 and subindex and len(data) == 4:
             *target, bits = mapping_entry(int.from_bytes(data, "little"))
             return f"{index:04X}h:{subindex:02X} = {self.object(*target)}, {bits} bits"
         if index in ASSIGNMENTS and subindex and len(data) == 2:
             return f"{self.object(index, subindex)} = {int.from_bytes(data, 'little'):04X}h"
-        row = self.model.objects.get((index, subindex)) if self.model else None
+        row = self.row(index, subindex)
         if row is None or not row.format or row.size != len(data):
             text = data.rstrip(b"\0")
             if len(data) > 8 and text.isascii() and text.decode("ascii").isprintable():
@@ -135,10 +134,10 @@ class EtherCatDecoder:
     """Explains the frames of a segment.
 
     Args:
-        model: drive model of slaves whose identity is not in the capture; None: objects are shown
-            by number.
+        model: drive model of slaves whose identity is not in the capture; with None, their objects
+            are shown by number.
         heard: called with slave, object and value (drive units) of each number in process data or
-            SDO; for a write, once the slave has confirmed it.
+            SDO; for a write, after the slave has confirmed it.
 
     Raises:
         ValueError: unknown model.
@@ -149,8 +148,8 @@ class EtherCatDecoder:
         heard: Callable[[str, Object, float], None] = lambda slave, row, value: None,
     ):
         self.others = 0  # frames of other protocols
-        self._marked = False  # slaves mark what they pass: a frame without that bit was seen
-        self._told = heard
+        self._marked = False  # a frame without `PASSED` was recorded, so the bit is conclusive
+        self._heard = heard
         self._given = load(model, "ethercat") if model else None
         self._stations: dict[int, _Slave] = {}
         self._positions: dict[int, _Slave] = {}
@@ -158,7 +157,7 @@ class EtherCatDecoder:
         self._known = _identities()
 
     def decode(self, frame: bytes) -> list[str]:
-        """Explain a frame in lines; none if nothing is new, or if it is not an EtherCAT frame.
+        """Explain a frame in lines; none if nothing is new or it is not an EtherCAT frame.
 
         Never raises; `others` counts frames of other protocols.
         """
@@ -183,8 +182,8 @@ class EtherCatDecoder:
     def returned(self, frame: bytes, rows: list[Datagram], sent: bool) -> bool:
         """Whether a frame has passed the slaves, which set a bit of its source address.
 
-        Locally administered addresses, used by some masters, have that bit set from the start; then
-        a frame has passed if it was sent before, or if a slave has counted it.
+        Some masters use locally administered addresses, which have that bit set from the start.
+        Then a frame has passed if it was sent before or if a slave has counted it.
         """
         if not frame[RETURNED] & PASSED:
             self._marked = True
@@ -211,7 +210,7 @@ class EtherCatDecoder:
         manager = self.mailbox_of(slave, back.ado)
         if manager is not None and back.wkc:
             return self._telegram(slave, sent.data if manager == 0 else back.data)
-        if manager is not None:  # a master polls it; the data sheet lets it not be touched then
+        if manager is not None:  # an empty mailbox that is polled, or a full one that is written
             return [] if manager else [f"{slave.name}: its mailbox is still full"]
         return self._register(name, slave, sent, back)
 
@@ -317,10 +316,11 @@ class EtherCatDecoder:
         command = value >> 8 & 7
         if command in (0, 1):
             return []
-        what = EEPROM_COMMANDS.get(command, f"command {command}")
-        where = f" word {slave.word:04X}h" if command == 2 and slave.word >= 0 else ""
-        return [f"{slave.name}: EEPROM {what}{where}" + ("" if value & 1 else ", not enabled")
-                if command == 2 else f"{slave.name}: EEPROM {what}"]
+        text = f"{slave.name}: EEPROM {EEPROM_COMMANDS.get(command, f'command {command}')}"
+        if command == 2:
+            text += f" word {slave.word:04X}h" if slave.word >= 0 else ""
+            text += "" if value & 1 else ", not enabled"
+        return [text]
 
     def _fmmu(self, slave: _Slave, n: int, row: bytes) -> list[str]:
         logical, length, first, last, physical, bit, kind, active = struct.unpack_from(
@@ -384,13 +384,13 @@ class EtherCatDecoder:
                 data = _content(body, command)
                 self._follow(slave, index, subindex, data)
                 slave.written = index, subindex, data
-                return [f"write {slave.tell(index, subindex, data)}"]
+                return [f"write {slave.text(index, subindex, data)}"]
             return [f"segment {body[:1].hex()}"]
         if kind == 2:
             data = _content(body, command)
             self._follow(slave, index, subindex, data)
             self._hear(slave, index, subindex, data)
-            return [slave.tell(index, subindex, data)]
+            return [slave.text(index, subindex, data)]
         if kind == 3 and slave.written and slave.written[:2] == (index, subindex):
             self._hear(slave, *slave.written)
         return [] if kind == 3 else [f"segment {len(body) - 1} bytes"]
@@ -422,13 +422,13 @@ class EtherCatDecoder:
                 data = sent.data if fmmu.kind == 2 else back.data
                 lines += self._image(slave, fmmu, data[at : at + fmmu.length], bool(back.wkc))
         if not back.wkc:
-            lines.append(f"process data {back.logical:08X}h: nobody (working counter 0)")
+            lines.append(f"process data {back.logical:08X}h: no slave (working counter 0)")
         return lines
 
     def _hear(self, slave: _Slave, index: int, subindex: int, data: bytes) -> None:
-        row = slave.model.objects.get((index, subindex)) if slave.model else None
+        row = slave.row(index, subindex)
         if row is not None and row.format and len(data) == row.size:
-            self._told(slave.name, row, row.unpack(data))
+            self._heard(slave.name, row, row.unpack(data))
 
     def _image(self, slave: _Slave, fmmu: _Fmmu, data: bytes, valid: bool) -> list[str]:
         manager = next(
@@ -448,7 +448,7 @@ class EtherCatDecoder:
                 continue
             slave.values[index, subindex] = value
             if index in (0x6040, 0x6041, 0x6060, 0x6061):
-                lines.append(f"{slave.name}: {slave.tell(index, subindex, part)}")
+                lines.append(f"{slave.name}: {slave.text(index, subindex, part)}")
         return lines
 
 

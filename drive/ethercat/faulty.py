@@ -22,7 +22,7 @@ from .al import AlState, AlStatusCode
 from .bus import Bus, Clock
 from .coe_header import Service
 from .controller.record import PORTS, Event
-from .controller.registers import R
+from .controller.registers import FULL, R
 from .frame import HEADER, LOGICAL, TAIL, Command, body_of, unpack
 from .mailbox import HEADER as MAILBOX_HEADER
 from .segment import Segment
@@ -32,7 +32,6 @@ LIMITS = {  # range of each number of a fault
     "offset": (-0xFFFF, 0xFFFF),
 }
 MILESTONES = ("frame", "cycle", "mailbox", "op")
-FULL = 0x08
 KINDS = {
     "drop": "the frame is lost on its way out",
     "lose": "the frame is lost on its way back",

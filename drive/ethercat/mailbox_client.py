@@ -10,13 +10,11 @@ from typing import Protocol
 from ..model.given import octets, whole
 from ..objects.abort import Abort, SdoAbort
 from .coe_header import Service, header
-from .controller.registers import R
+from .controller.registers import FULL, REPEAT, R
 from .frame import Command, Datagram
 from .mailbox import HEADER, Kind, pack
 
-FULL = 0x08
 POLLS = 200  # reads of the mailbox before a transfer is given up
-REPEAT = 0x02  # 080Eh and 080Fh
 
 
 class MailboxError(ValueError):

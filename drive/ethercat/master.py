@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from ..model.given import whole
 from . import clocks, sii
-from .al import AlState, AlStatusCode
+from .al import ACKNOWLEDGE, ERROR, AlState, AlStatusCode
 from .controller.registers import R
 from .description import Description
 from .frame import MOST, Command, Datagram, logical, pack, unpack
@@ -26,7 +26,6 @@ FIRST_STATION = 0x1001
 LOGICAL_START = 0x10000
 RETRIES = 3
 POLLS = 1000
-ERROR, ACKNOWLEDGE = 0x10, 0x10
 COE = 4  # bit of word 1Ch of the SII
 
 

@@ -13,7 +13,7 @@ from ..model.given import whole
 from ..model.model import load
 from ..objects.snapshot import seal, unseal
 from . import eoe, sii
-from .al import WITH_INPUTS, WITH_MAILBOX, AlMachine, AlRules, AlState, AlStatusCode
+from .al import WITH_INPUTS, WITH_MAILBOX, AlMachine, AlState, AlStatusCode
 from .coe import Coe, Emergencies, Sdo
 from .controller.pdi import IN, OUT, Pdi
 from .controller.process_image import INPUTS, OUTPUTS, ProcessImage
@@ -64,10 +64,7 @@ class Slave:
         whole("alias", alias, 0, 0xFFFF)
         self.sii = sii.of_model(drive.model, alias)
         self.esc = data.registers
-        rules = AlRules(
-            data.al.bootstrap, data.al.by_edge, data.al.init_acknowledges, data.al.codes
-        )
-        self.al = AlMachine(rules, self._check, self._entered, lambda: self._identification)
+        self.al = AlMachine(data.al, self._check, self._entered, lambda: self._identification)
         self._identification = alias
         self._sdo = Sdo(drive.objects, data.complete_access)
         self._foe = Foe({PARAMETERS: File(drive.parameters.export, drive.parameters.take)})
@@ -122,7 +119,7 @@ class Slave:
         """State of the AL state machine."""
         return self.al.state
 
-    def fail(self, code: AlStatusCode | int, state: AlState = AlState.SAFE_OPERATIONAL) -> None:
+    def fail(self, code: int, state: AlState = AlState.SAFE_OPERATIONAL) -> None:
         """Show an AL status code, and retreat to `state` if it is lower than the present one.
 
         Raises ValueError for a code of more than 16 bits, or an unknown state.

@@ -16,7 +16,7 @@ NAME = "servogym generic CiA 402 drive"  # 1008h, 30 characters
 CASES = {
     "nmt: start all": "> 000#0100\n< 181#5002",
     "nmt: start this node": "> 000#0101\n< 181#5002",
-    "nmt: another node is meant": "> 000#0102",
+    "nmt: command to another node is ignored": "> 000#0102",
     "nmt: unknown command": "> 000#0501",
     "nmt: too short": "> 000#01",
     "nmt: too long": "> 000#010100",
@@ -53,7 +53,7 @@ CASES = {
     "sdo: block end without a transfer": refuse("C141600000000000", 0x6041, 0, 0x05040001),
     "sdo: abort of the client is not answered": "> 601#8041600000000000",
     "sdo: seven bytes are ignored": "> 601#40416000000000",
-    "sdo: another node": "> 602#4041600000000000",
+    "sdo: request to another node is ignored": "> 602#4041600000000000",
     "sdo: segmented download": """
         > 601#217A600004000000
         < 581#607A600000000000
@@ -85,7 +85,7 @@ CASES = {
     "sdo: segmented download refused at the start": refuse(
         "2141600002000000", 0x6041, 0, 0x06010002
     ),
-    "sdo: segmented download far too long": refuse("217A6000FFFFFFFF", 0x607A, 0, 0x06070012),
+    "sdo: segmented download, much too long": refuse("217A6000FFFFFFFF", 0x607A, 0, 0x06070012),
     "sdo: time-out": """
         > 601#217A600004000000
         < 581#607A600000000000
@@ -109,7 +109,7 @@ CASES = {
         > 601#8008100000000008""",
     "sdo: block upload, block size 0": refuse("A408100000000000", 0x1008, 0, 0x05040002),
     "sdo: block upload, block size 128": refuse("A408100080000000", 0x1008, 0, 0x05040002),
-    "sdo: block upload of nothing": refuse("A400700010000000", 0x7000, 0, 0x06020000),
+    "sdo: block upload of a missing object": refuse("A400700010000000", 0x7000, 0, 0x06020000),
     "sdo: block download to ro": refuse("C641600002000000", 0x6041, 0, 0x06010002),
     "sdo: block download": """
         > 601#C27A600004000000
@@ -151,9 +151,10 @@ CASES = {
         > 601#807A600000000008
         > 601#407A600000000000
         < 581#437A600000000000""",
-    "pdo: rpdo is taken at once": OPERATIONAL + "> 201#0600\n< 181#3102",
-    "pdo: short rpdo is not used": OPERATIONAL + "> 201#06\n< 081#1082110000000000\n+2",
-    "pdo: long rpdo is used": OPERATIONAL + "> 201#0600FFFF\n< 081#2082110000000000\n< 181#3102",
+    "pdo: rpdo takes effect at once": OPERATIONAL + "> 201#0600\n< 181#3102",
+    "pdo: short rpdo is ignored": OPERATIONAL + "> 201#06\n< 081#1082110000000000\n+2",
+    "pdo: long rpdo is processed": OPERATIONAL
+    + "> 201#0600FFFF\n< 081#2082110000000000\n< 181#3102",
     "pdo: rpdo of another node": OPERATIONAL + "> 202#0600\n+2",
     "pdo: invalid rpdo": OPERATIONAL + "> 301#060001\n+2",
     "pdo: mapping while valid": refuse("2F00160000000000", 0x1600, 0, 0x06010000),
@@ -255,7 +256,7 @@ CASES = {
         < 181#3102""",
     "sync: not in pre-operational": "> 601#2F00180201000000\n< 581#6000180200000000\n> 080#",
     "sync: counter not expected": OPERATIONAL + "> 080#05\n< 081#4082110000000000",
-    "sync: two bytes are no sync": OPERATIONAL + "> 080#0501\n< 081#4082110000000000",
+    "sync: message of two bytes is ignored": OPERATIONAL + "> 080#0501\n< 081#4082110000000000",
     "sync: identifier 1005h": """
         > 601#2305100081000000
         < 581#6005100000000000
@@ -279,9 +280,10 @@ CASES = {
         +10
         < 701#04""",
     "heartbeat: off": "+50",
-    "guarding: toggles": "> 701#R\n< 701#7F\n> 701#R\n< 701#FF\n> 701#R\n< 701#7F",
-    "guarding: tells the state": OPERATIONAL + "> 701#R\n< 701#05\n> 000#0201\n> 701#R\n< 701#84",
-    "guarding: another node": "> 702#R",
+    "guarding: toggle bit alternates": "> 701#R\n< 701#7F\n> 701#R\n< 701#FF\n> 701#R\n< 701#7F",
+    "guarding: answer contains the state": OPERATIONAL
+    + "> 701#R\n< 701#05\n> 000#0201\n> 701#R\n< 701#84",
+    "guarding: request to another node is ignored": "> 702#R",
     "guarding: life time": """
         > 601#2B0C100014000000
         < 581#600C100000000000
@@ -299,7 +301,7 @@ CASES = {
     "extended frame": "> 00000601#4041600000000000",
     "unknown identifier": "> 7FF#0011223344556677",
     "sdo as remote frame": "> 601#R",
-    "emcy as somebody else's": "> 082#0010010000000000",
+    "emcy: message with this node's identifier is ignored": "> 082#0010010000000000",
 }
 
 

@@ -22,15 +22,15 @@ date.
 
 """
 INFERRED = {  # case -> what the standard leaves open
-    "pdo: mapping while valid": "no code is given for steps in another order: 06010000h",
+    "pdo: mapping while valid": "the standard gives no code for steps in another order: 06010000h",
     "mapping: entries change only while their number is 0": "as above: 06010000h",
-    "rpdo: sync identifier": "no PDO takes the identifier of SYNC",
+    "rpdo: sync identifier": "a PDO with the identifier of SYNC is refused",
     "heartbeat consumer: reserved bits": "refused as an invalid value",
-    "sync: two bytes are no sync": "a SYNC of another length is told and not used",
-    "sync: wrong length is no sync": "a SYNC of another length is told and not used",
+    "sync: message of two bytes is ignored": "a SYNC of another length is reported and ignored",
+    "sync: message of wrong length is ignored": "a SYNC of another length is reported and ignored",
     "sync: start value": "the SYNC with the start value is the first to be answered",
-    "lss: silence while the bit rate changes": "no frame is taken or given between the delays",
-    "lss: works in stopped": "LSS is live in every NMT state",
+    "lss: silence while the bit rate changes": "no frame is received or sent between the delays",
+    "lss: works in stopped": "LSS is active in every NMT state",
 }
 NOT_SUPPORTED = {
     "time: producer bit": "the drive consumes TIME and does not produce it",

@@ -33,7 +33,7 @@ WAIT = "> 7E5#0400000000000000\n"
 NO_FAULT = write(0x6007, 0, 0, 2)  # a lost connection is no fault of the drive
 
 LSS = {
-    "lss: waiting answers no inquiry": "> 7E5#5A00000000000000",
+    "lss: no inquiry is answered in waiting": "> 7E5#5A00000000000000",
     "lss: switch global": CONFIGURE + "> 7E5#5B00000000000000\n< 7E4#5B02040000000000",
     "lss: switch back": CONFIGURE + WAIT + "> 7E5#5A00000000000000",
     "lss: switch to an unknown mode": "> 7E5#0402000000000000\n> 7E5#5A00000000000000",
@@ -53,7 +53,7 @@ LSS = {
     "lss: inquire revision": CONFIGURE + "> 7E5#5C00000000000000\n< 7E4#5C00000100000000",
     "lss: inquire serial number": CONFIGURE + "> 7E5#5D00000000000000\n< 7E4#5D01000000000000",
     "lss: inquire node-id": CONFIGURE + "> 7E5#5E00000000000000\n< 7E4#5E01000000000000",
-    "lss: node-id acts after reset communication": CONFIGURE
+    "lss: node-id becomes active at reset communication": CONFIGURE
     + """
         > 7E5#1105000000000000
         < 7E4#1100000000000000
@@ -74,9 +74,9 @@ LSS = {
         < 185#5002""",
     "lss: node-id 0": CONFIGURE + "> 7E5#1100000000000000\n< 7E4#1101000000000000",
     "lss: node-id 128": CONFIGURE + "> 7E5#1180000000000000\n< 7E4#1101000000000000",
-    "lss: node-id not stored is lost at reset node": CONFIGURE
+    "lss: unstored node-id is lost at reset node": CONFIGURE
     + "> 7E5#1105000000000000\n< 7E4#1100000000000000\n> 000#8101\n< 701#00",
-    "lss: node-id stored survives reset node": CONFIGURE
+    "lss: stored node-id survives reset node": CONFIGURE
     + """
         > 7E5#1105000000000000
         < 7E4#1100000000000000
@@ -84,7 +84,7 @@ LSS = {
         < 7E4#1700000000000000
         > 000#8101
         < 705#00""",
-    "lss: node-id taken away": CONFIGURE
+    "lss: node-id removed": CONFIGURE
     + "> 7E5#11FF000000000000\n< 7E4#1100000000000000\n> 000#8201\n> 000#0100\n> 701#R",
     "lss: bit timing": CONFIGURE + "> 7E5#1300040000000000\n< 7E4#1300000000000000",
     "lss: bit timing, another table": CONFIGURE + "> 7E5#1301000000000000\n< 7E4#1301000000000000",
@@ -100,7 +100,7 @@ LSS = {
         +20
         > 601#4041600000000000
         < 581#4B41600050020000""",
-    "lss: activate without a bit timing": CONFIGURE
+    "lss: activate bit timing without a configured one": CONFIGURE
     + "> 7E5#150A000000000000\n> 601#4041600000000000\n< 581#4B41600050020000",
     "lss: identify": """
         > 7E5#4600000000000000
@@ -117,8 +117,8 @@ LSS = {
         > 7E5#4900000200000000
         > 7E5#4A02000000000000
         > 7E5#4B05000000000000""",
-    "lss: identify non-configured does not mean this node": "> 7E5#4C00000000000000",
-    "lss: fastscan does not mean this node": "> 7E5#5100000000800000",
+    "lss: identify non-configured ignored by a configured node": "> 7E5#4C00000000000000",
+    "lss: fastscan ignored by a configured node": "> 7E5#5100000000800000",
     "lss: seven bytes": "> 7E5#04010000000000\n> 7E5#5A00000000000000",
     "lss: works in stopped": "> 000#0201\n" + SELECT,
 }
@@ -132,12 +132,12 @@ UNCONFIGURED = {
     + "> 7E5#1109000000000000\n< 7E4#1100000000000000\n+3\n"
     + WAIT
     + "< 709#00\n> 609#4014100000000000\n< 589#4314100089000000",
-    "unconfigured: stays so without a node-id": CONFIGURE + WAIT + "+3",
-    "unconfigured: fastscan, nobody is like that": """
+    "unconfigured: remains so without a node-id": CONFIGURE + WAIT + "+3",
+    "unconfigured: fastscan, no match": """
         > 7E5#5100000000800000
         < 7E4#4F00000000000000
         > 7E5#5100000080000000""",
-    "unconfigured: fastscan, a field out of turn": """
+    "unconfigured: fastscan, field out of order": """
         > 7E5#5100000000800000
         < 7E4#4F00000000000000
         > 7E5#5100000000000100""",
@@ -173,7 +173,9 @@ TIME = {
 }
 SYNC = {
     "sync: identifier of 29 bits": refuse("2305100080000020", 0x1005, 0, INVALID),
-    "sync: bits of 29 without bit 29": refuse("2305100080080000", 0x1005, 0, INVALID),
+    "sync: identifier of more than 11 bits without bit 29": refuse(
+        "2305100080080000", 0x1005, 0, INVALID
+    ),
     "sync: restricted identifier": refuse("2305100001060000", 0x1005, 0, INVALID),
     "sync: identifier while producing": write(0x1005, 0, 0x4000_0080, 4)
     + refuse("2305100081000040", 0x1005, 0, STATE),
@@ -187,7 +189,7 @@ SYNC = {
     + write(0x1006, 0, 2000, 4)
     + write(0x1005, 0, 0x4000_0080, 4)
     + "< 080#01\n+2\n< 080#02\n+2\n< 080#03\n+2\n< 080#01",
-    "sync: producer rests in stopped and begins with 1": write(0x1019, 0, 3, 1)
+    "sync: producer pauses in stopped and restarts with 1": write(0x1019, 0, 3, 1)
     + write(0x1006, 0, 2000, 4)
     + write(0x1005, 0, 0x4000_0080, 4)
     + "< 080#01\n+2\n< 080#02\n> 000#0201\n+9\n> 000#8001\n< 080#01",
@@ -204,7 +206,7 @@ SYNC = {
     "sync: counter is missing": write(0x1019, 0, 10, 1)
     + OPERATIONAL
     + "> 080#\n< 081#4082110000000000\n> 080#\n> 080#01\n< 081#0000000000000000",
-    "sync: wrong length is no sync": write(0x1800, 2, 1, 1)
+    "sync: message of wrong length is ignored": write(0x1800, 2, 1, 1)
     + "> 000#0101\n> 080#05\n< 081#4082110000000000\n> 080#\n< 081#0000000000000000\n< 181#5002",
     "sync: start value": write(0x1019, 0, 4, 1)
     + write(0x1800, 1, 0xC000_0181, 4)
@@ -213,23 +215,23 @@ SYNC = {
     + write(0x1800, 1, 0x4000_0181, 4)
     + "> 000#0101\n> 080#01\n> 080#02\n> 080#03\n< 181#5002\n> 080#04\n> 080#01\n< 181#5002",
     "sync: start value while valid": refuse("2F00180603000000", 0x1800, 6, STATE),
-    "sync: rpdo after the window is not used": write(0x1007, 0, 3000, 4)
+    "sync: rpdo after the window is ignored": write(0x1007, 0, 3000, 4)
     + write(0x1400, 2, 1, 1)
     + OPERATIONAL
     + "> 080#\n+4\n> 201#0600\n> 080#\n+2",
-    "sync: rpdo in the window is used": write(0x1007, 0, 3000, 4)
+    "sync: rpdo in the window is processed": write(0x1007, 0, 3000, 4)
     + write(0x1400, 2, 1, 1)
     + OPERATIONAL
     + "> 080#\n+3\n> 201#0600\n> 080#\n< 181#3102",
-    "sync: not live in stopped": write(0x1800, 2, 1, 1) + "> 000#0101\n> 000#0201\n> 080#",
+    "sync: not processed in stopped": write(0x1800, 2, 1, 1) + "> 000#0101\n> 000#0201\n> 080#",
 }
 RPDO = {
-    "rpdo: short, told once, then good": OPERATIONAL
+    "rpdo: short, reported once, then good": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n> 201#06\n> 201#0000\n< 081#0000000000000000",
     "rpdo: long, then good": OPERATIONAL
     + "> 201#000000\n< 081#2082110000000000\n> 201#0000\n< 081#0000000000000000",
     "rpdo: empty": OPERATIONAL + "> 201#\n< 081#1082110000000000",
-    "rpdo: deadline does not run before the first": write(0x1400, 5, 10, 2) + OPERATIONAL + "+50",
+    "rpdo: deadline starts with the first rpdo": write(0x1400, 5, 10, 2) + OPERATIONAL + "+50",
     "rpdo: deadline": write(0x1400, 5, 10, 2)
     + write(0x2020, 13, 0, 1)
     + OPERATIONAL
@@ -289,7 +291,7 @@ MAPPING = {
     "mapping: a reserved number of entries": refuse("2F01160041000000", 0x1601, 0, INVALID),
     "tpdo: without entries nothing is sent": write(0x1801, 1, 0x281, 4)
     + "> 000#0101\n< 181#5002\n+9\n> 281#R\n> 080#",
-    "mapping: another length than the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
+    "mapping: length differs from the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
     "mapping: no such object": refuse("2301160110000070", 0x1601, 1, 0x06020000),
     "mapping: no such sub-index": refuse("2301160120097D60", 0x1601, 1, 0x06090011),
     "mapping: entries change only while their number is 0": write(0x1601, 1, CONTROLWORD, 4)
@@ -305,32 +307,36 @@ MAPPING = {
     + "> 000#0101\n+20\n> 181#R\n< 181#5002",
     "tpdo: type 240": write(0x1800, 2, 240, 1),
     "tpdo: type 251 is reserved": refuse("2F001802FB000000", 0x1800, 2, INVALID),
-    "tpdo: made valid in operational is sent": write(0x1800, 1, 0xC000_0181, 4)
+    "tpdo: sent when it becomes valid in operational": write(0x1800, 1, 0xC000_0181, 4)
     + "> 000#0101\n> 601#2300180181010040\n< 581#6000180100000000\n< 181#5002",
     "pdo: sub-index 4 is reserved": refuse("4000140400000000", 0x1400, 4, 0x06090011),
-    "pdo: there are four": refuse("4004140000000000", 0x1404, 0, 0x06020000),
+    "pdo: there are four in each direction": refuse("4004140000000000", 0x1404, 0, 0x06020000),
 }
 ERROR_CONTROL = {
-    "heartbeat consumer: a node-id twice": write(0x1016, 1, 5 << 16 | 20, 4)
+    "heartbeat consumer: second entry for a node-id is refused": write(0x1016, 1, 5 << 16 | 20, 4)
     + refuse("2316100214000500", 0x1016, 2, PARAMETER),
-    "heartbeat consumer: twice, but time 0": write(0x1016, 1, 5 << 16 | 20, 4)
+    "heartbeat consumer: second entry for a node-id with time 0": write(0x1016, 1, 5 << 16 | 20, 4)
     + write(0x1016, 2, 5 << 16, 4),
     "heartbeat consumer: the same entry again": write(0x1016, 1, 5 << 16 | 20, 4)
     + write(0x1016, 1, 5 << 16 | 30, 4),
     "heartbeat consumer: reserved bits": refuse("2316100114000501", 0x1016, 1, INVALID),
-    "heartbeat consumer: no ninth entry": refuse("2316100914000500", 0x1016, 9, 0x06090011),
-    "heartbeat consumer: waits for the first": write(0x1016, 1, 5 << 16 | 20, 4) + "+90",
-    "heartbeat consumer: any other node": write(0x1016, 1, 5 << 16 | 20, 4) + "> 706#05\n+90",
-    "heartbeat consumer: lost and heard again": NO_FAULT
+    "heartbeat consumer: there is no ninth entry": refuse(
+        "2316100914000500", 0x1016, 9, 0x06090011
+    ),
+    "heartbeat consumer: monitoring starts with the first one": write(0x1016, 1, 5 << 16 | 20, 4)
+    + "+90",
+    "heartbeat consumer: heartbeat of another node is ignored": write(0x1016, 1, 5 << 16 | 20, 4)
+    + "> 706#05\n+90",
+    "heartbeat consumer: lost and resumed": NO_FAULT
     + write(0x1016, 3, 5 << 16 | 20, 4)
     + "> 705#05\n+20\n> 705#05\n+21\n< 081#3081110000000000\n+60\n"
     + "> 705#05\n< 081#0000000000000000",
-    "heartbeat consumer: two lost, one heard again": NO_FAULT
+    "heartbeat consumer: two lost, one resumed": NO_FAULT
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + write(0x1016, 2, 6 << 16 | 30, 4)
     + "> 705#05\n> 706#05\n+40\n< 081#3081110000000000\n< 081#3081110000000000\n"
     + "> 705#05\n> 706#05\n< 081#0000000000000000",
-    "heartbeat consumer: lost is a fault of the drive": write(0x1016, 1, 5 << 16 | 20, 4)
+    "heartbeat consumer: loss is a fault of the drive": write(0x1016, 1, 5 << 16 | 20, 4)
     + "> 705#05\n+25\n< 081#3081110000000000\n"
     + read(0x603F, 0, "4B3F600030810000")
     + "\n"
@@ -340,7 +346,7 @@ ERROR_CONTROL = {
     )
     + write(0x1016, 2, 6 << 16 | 20, 4)
     + "> 705#05\n> 706#05\n+25\n< 081#3081110000000000\n< 081#3081110000000000",
-    "heartbeat consumer: entry taken back": NO_FAULT
+    "heartbeat consumer: entry removed": NO_FAULT
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + "> 705#05\n+25\n< 081#3081110000000000\n"
     + write(0x1016, 1, 0, 4)
@@ -354,21 +360,22 @@ ERROR_CONTROL = {
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + OPERATIONAL
     + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#05",
-    "1029h: 2 stops": NO_FAULT
+    "1029h: 2 enters stopped": NO_FAULT
     + write(0x1029, 1, 2, 1)
     + write(0x1016, 1, 5 << 16 | 20, 4)
     + OPERATIONAL
     + "> 705#05\n+25\n< 081#3081110000000000\n> 701#R\n< 701#04",
-    "1029h: 3 is too high": refuse("2F29100103000000", 0x1029, 1, 0x06090031),
-    "heartbeat: guarding is not answered meanwhile": write(0x1017, 0, 100, 2) + "< 701#7F\n> 701#R",
+    "1029h: 3 is refused as too high": refuse("2F29100103000000", 0x1029, 1, 0x06090031),
+    "heartbeat: guarding is not answered while it is produced": write(0x1017, 0, 100, 2)
+    + "< 701#7F\n> 701#R",
     "heartbeat: the boot-up message is the first": write(0x1017, 0, 10, 2)
     + "< 701#7F\n> 601#2310100173617665\n< 581#6010100100000000\n"
     + "> 000#8201\n< 701#00\n+9\n+1\n< 701#7F",
-    "heartbeat: a new time starts at once": write(0x1017, 0, 50, 2)
+    "heartbeat: a new period starts at once": write(0x1017, 0, 50, 2)
     + "< 701#7F\n+10\n"
     + write(0x1017, 0, 20, 2)
     + "< 701#7F\n+20\n< 701#7F",
-    "guarding: toggle begins with 0 after a reset": "> 701#R\n< 701#7F\n> 000#8201\n< 701#00\n"
+    "guarding: toggle bit starts with 0 after a reset": "> 701#R\n< 701#7F\n> 000#8201\n< 701#00\n"
     + "> 701#R\n< 701#7F",
     "guarding: life time starts with the first request": write(0x100C, 0, 20, 2)
     + write(0x100D, 0, 2, 1)
@@ -380,12 +387,12 @@ ERROR_CONTROL = {
     + "> 701#R\n< 701#FF\n< 081#0000000000000000",
 }
 EMCY = {
-    "emcy: identifier while valid": refuse("2314100082000000", 0x1014, 0, STATE),
-    "emcy: identifier after switching off": write(0x1014, 0, 0x8000_0081, 4)
+    "emcy: identifier may not change while valid": refuse("2314100082000000", 0x1014, 0, STATE),
+    "emcy: identifier may change while invalid": write(0x1014, 0, 0x8000_0081, 4)
     + write(0x1014, 0, 0x82, 4)
     + OPERATIONAL
     + "> 201#06\n< 082#1082110000000000",
-    "emcy: switched off": write(0x1014, 0, 0x8000_0081, 4) + OPERATIONAL + "> 201#06",
+    "emcy: no message while invalid": write(0x1014, 0, 0x8000_0081, 4) + OPERATIONAL + "> 201#06",
     "emcy: reserved bit": refuse("2314100081000040", 0x1014, 0, INVALID),
     "emcy: identifier of 29 bits": refuse("2314100081000020", 0x1014, 0, INVALID),
     "emcy: restricted identifier": write(0x1014, 0, 0x8000_0081, 4)
@@ -408,7 +415,7 @@ EMCY = {
     + read(0x1003, 1, "4303100110820000")
     + "\n"
     + refuse("4003100200000000", 0x1003, 2, 0x08000024),
-    "emcy: history is cleared by 0 only": OPERATIONAL
+    "emcy: only 0 clears the history": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n"
     + refuse("2F03100001000000", 0x1003, 0, INVALID)
     + "\n"
@@ -422,7 +429,7 @@ EMCY = {
     "emcy: reset communication ends the communication errors": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n> 000#8201\n< 701#00\n"
     + read(0x1001, 0, "4F01100000000000"),
-    "emcy: one of two errors gone is not told": OPERATIONAL
+    "emcy: no message while one of two errors remains": OPERATIONAL
     + "> 201#06\n< 081#1082110000000000\n> 080#01\n< 081#4082110000000000\n> 080#\n"
     + "> 201#0000\n< 081#0000000000000000",
 }
@@ -449,7 +456,7 @@ SDO = {
         < 581#1D64000000000000
         > 601#6000000000000000
         < 581#8000000001000405""",
-    "sdo: block download far too long": refuse("C27A600000000100", 0x607A, 0, 0x06070012),
+    "sdo: block download, much too long": refuse("C27A600000000100", 0x607A, 0, 0x06070012),
     "sdo: block upload, confirmed with block size 0": """
         > 601#A409100001000000
         < 581#C609100008000000
@@ -521,7 +528,7 @@ STATES = {
     + read(0x607A, 0, "437A600005000000")
     + "\n"
     + read(0x1006, 0, "4306100000000000"),
-    "nmt: reset node brings defaults": write(0x607A, 0, 5, 4)
+    "nmt: reset node restores defaults": write(0x607A, 0, 5, 4)
     + "> 000#8101\n< 701#00\n"
     + read(0x607A, 0, "437A600000000000"),
 }

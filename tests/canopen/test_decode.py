@@ -360,7 +360,7 @@ def test_an_error_frame_and_can_fd_are_named(tmp_path, capsys):
         ("run.dat.gz", b"", "unknown suffix, use one of .asc .blf .csv"),
         ("missing.log", None, "No such file or directory"),
         ("missing.db", None, "No such file or directory"),
-        ("empty.log", b"", "there is no frame in it"),
+        ("empty.log", b"", "contains no frame"),
         ("wrong.log", b"\x80\x81\xff\n", "damaged or cut off"),
         ("wrong.log", b"what is this\n", "(not a frame: 'what is this')"),
         ("wrong.db", b"what is this", "damaged or cut off"),

@@ -40,7 +40,7 @@ def test_a_trigger_with_pre_trigger_catches_the_crossing(tmp_path):
         (["--channels", "9999h"], "has no such object"),
         (["--channels", "nonsense"], "there is no channel 'nonsense'"),
         (["--trigger", "6064h"], "use CHANNEL:EDGE:LEVEL"),
-        (["--trigger", "6064h:rising:1e9"], "did not come"),
+        (["--trigger", "6064h:rising:1e9"], "the trigger did not occur"),
     ],
 )
 def test_wrong_options_of_the_scope_are_one_line(arguments, text, refused, tmp_path):
@@ -161,7 +161,10 @@ def test_a_running_node_is_polled_and_left_alone(node, tmp_path):
         (["--channels", "axis.torque"], "on a machine alone"),
         (["--node-id", "9", "--duration", "0.1"], "no answer within"),
         (["--rate", "0"], "--rate: 0 is out of range above 0"),
-        (["--trigger", "6041h:change", "--duration", "0.1"], "did not come within 0.1 s"),
+        (
+            ["--trigger", "6041h:change", "--duration", "0.1"],
+            "the trigger did not occur within 0.1 s",
+        ),
     ],
 )
 def test_what_a_node_does_not_have_is_one_line(node, arguments, text, refused, tmp_path):
@@ -174,7 +177,7 @@ def test_what_a_node_does_not_have_is_one_line(node, arguments, text, refused, t
         (["missing.log"], "no such file"),
         ([str(GOLDEN), "--channels", "status"], "did you mean statusword"),
         ([str(GOLDEN), "--node-id", "7"], "no drive 7 in it"),
-        ([str(GOLDEN), "--trigger", "statusword:above:70000"], "did not come in"),
+        ([str(GOLDEN), "--trigger", "statusword:above:70000"], "the trigger did not occur in"),
     ],
 )
 def test_what_a_log_does_not_have_is_one_line(arguments, text, refused, tmp_path):

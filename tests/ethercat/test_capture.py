@@ -151,7 +151,7 @@ def told(*exchanges, managers=True):
     [
         (0x11, "AL control (0120h) INIT + acknowledge"),
         (0x14, "AL control (0120h) SAFE_OPERATIONAL + acknowledge"),
-        (0x28, "AL control (0120h) OPERATIONAL + identification asked for"),
+        (0x28, "AL control (0120h) OPERATIONAL + identification requested"),
         (0x02, "AL control (0120h) PRE_OPERATIONAL"),
     ],
 )
@@ -217,7 +217,7 @@ def test_a_capture_without_ethercat_is_told_in_one_line(tmp_path, capsys):
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
-    assert "none of its 3504 frames is EtherCAT's" in said.err
+    assert "none of its 3504 frames is an EtherCAT frame" in said.err
 
 
 def test_a_master_whose_own_address_has_the_bit_of_returned_frames_is_understood(capture, tmp_path):

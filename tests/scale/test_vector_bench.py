@@ -5,8 +5,7 @@ from itertools import islice
 
 import pytest
 
-from servogym.training.bench import vectors
-from servogym.training.bench.vectors import Peer
+from servogym.training.bench import Peer, rates, vectors
 
 
 def test_blocks_alternate_after_one_for_warming_up():
@@ -15,7 +14,7 @@ def test_blocks_alternate_after_one_for_warming_up():
         Peer(name, "", n, lambda name=name: calls.append(name), lambda: calls.append("|"))
         for name, n in (("a", 2), ("b", 1))
     ]
-    first, second = vectors._rates(peers, 2, 1)
+    first, second = rates(peers, 2, 1)
     assert "".join(calls) == "|aa|bb|aa|bb"
     assert first["ours_over"] == 1.0
     assert second["ours_over"] == pytest.approx(first["per_s"] / second["per_s"])

@@ -1,4 +1,4 @@
-"""`servogym bench --can`: drives in lock-step on one bus, and SDO servers side by side."""
+"""`servogym bench --can`: drives in lock-step on one bus, and a comparison of SDO servers."""
 
 import platform
 import struct
@@ -30,7 +30,7 @@ TPDOS = [
     ["statusword", "position_actual_value", "torque_actual_value"],
     ["velocity_actual_value", "following_error_actual_value"],
 ]
-SERVERS = (  # as `sdo.measure` has them
+SERVERS = (  # titles of the rows of `sdo.measure`
     "handling alone", "raw loop, a thread each", "SdoClient, a thread each", "raw loop, one thread"
 )
 STATES = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
@@ -53,9 +53,9 @@ def axis_in_csp(node_id: int, period: int = SYNC_PERIOD) -> Machine:
 
 
 def lockstep(drives: int, syncs: int) -> dict[str, Any]:
-    """Simulated time over real time of drives in csp on one loop-back, and what the bus would say.
+    """Simulated time over real time of drives in csp on one loop-back, and the load of the bus.
 
-    Raises RuntimeError where a drive is not enabled at the end or a TPDO is missing.
+    Raises RuntimeError if a drive is not enabled at the end or a TPDO is missing.
     """
     run = LockStep([axis_in_csp(n) for n in range(1, drives + 1)], SYNC_PERIOD)
     master = run.bus.join()
@@ -96,12 +96,12 @@ def lockstep(drives: int, syncs: int) -> dict[str, Any]:
         "frames_per_sync": len(frames),
         "times_real_time": syncs * SYNC_PERIOD * 1e-6 / sum(times),
         "single_periods_quartiles": [float(q) for q in np.percentile(factors, (25, 75))],
-        "load_at_1_mbit_s": sum(map(length, frames)) / SYNC_PERIOD,  # above 1: does not fit
+        "load_at_1_mbit_s": sum(map(length, frames)) / SYNC_PERIOD,  # above 1 it would not fit
     }
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     return {
         "sdo": sdo_bench.measure(options.repeat),
         "lockstep": lockstep(DRIVES, 10 * options.repeat),

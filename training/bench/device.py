@@ -1,9 +1,9 @@
 """`servogym bench --gpu`: drives and physics of many machines on a device of warp.
 
-What a step costs is measured three times: physics and drives alone, with the graph and without, and
-the whole step of the vector with its task, observations and infos. The fewest machines also step on
-the cores, in the same run, under the same actions: how fast, and how far the two are apart then.
-Kernels are compiled, and the graph is captured, in steps that do not count.
+The time of a step is measured in three ways: physics and drives alone, with and without the graph,
+and the whole step of the vector with its task, observations and infos. The smallest number of
+machines also steps on the cores, in the same run and under the same actions, to compare speed and
+results. Kernels are compiled, and the graph is captured, in steps that do not count.
 """
 
 import importlib.metadata
@@ -20,20 +20,21 @@ from . import Tell, show_table
 
 ID = POINT_TO_POINT.ID
 MANY = {"cpu": (2, 16), "cuda": (256, 4096, 16_384)}  # machines
-STEPS = {"cpu": 5, "cuda": 100}  # of an agent, no more than an episode
+STEPS = {"cpu": 5, "cuda": 100}  # agent steps, no more than an episode
 WARM = 3
-SLOW = 0.02  # of the maximum velocity, so that nobody reaches an end
+SLOW = 0.02  # of the maximum velocity, so that no axis reaches an end
 APART = {"position_um": 1e6, "velocity_um_s": 1e6, "torque_mNm": 1e3}
 
 
 def _vector(drive: str, n: int, **arguments: Any) -> Any:
-    """Environments at the beginning of their episodes."""
+    """Make environments and start their episodes."""
     vector: Any = gym.make_vec(ID, n, drive=drive, **arguments)
     vector.reset(seed=1)
     return vector
 
 
 def _seconds(vector: Any, step: Any, steps: int) -> float:
+    """Mean time of a step (s), until the device has finished."""
     for _ in range(WARM):
         step()
     _finish(vector)
@@ -45,20 +46,20 @@ def _seconds(vector: Any, step: Any, steps: int) -> float:
 
 
 def _finish(vector: Any) -> None:
-    """Wait for what the device still has to do."""
+    """Wait until the device has finished."""
     if hasattr(vector, "synchronize"):
         vector.synchronize()
 
 
 def _cycles(vector: Any, n: int) -> float:
-    """Velocity cycles of all drives in a step of the agent."""
+    """Velocity cycles of all drives in an agent step."""
     env = vector.envs[0]
     ticks = env.cycles_per_step * env.machine.physics_steps
     return n * float((ticks / env.machine.couplings["velocity_steps"]).sum())
 
 
 def measure(drive: str, device: str) -> tuple[list[dict[str, float]], dict[str, float]]:
-    """Steps and cycles a second, by the number of machines; and what the cores are beside it."""
+    """Steps and cycles per second by the number of machines, and the same on the cores."""
     kind = "cpu" if device == "cpu" else "cuda"
     rows: list[dict[str, float]] = []
     beside: dict[str, float] = {}
@@ -98,7 +99,7 @@ def _apart(vector: Any, peer: Any) -> dict[str, float]:
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     rows, beside = measure(options.drive, options.gpu)
     packages = ("mujoco-warp", "warp-lang", "numba", "torch")
     return {

@@ -1,14 +1,13 @@
-"""`servogym bench`: what the drive costs beside the physics, measured interleaved in one run.
+"""`servogym bench`: time of the drive compared with that of the physics, interleaved in one run.
 
 The drive runs a motion once and its torques are recorded. Then blocks alternate: physics alone with
 those torques replayed, and drive and physics together, both from the same state, both inside a
-compiled loop, by the processor time of their thread. Both see the same motion, and a machine that
-grows slower meanwhile slows both. MuJoCo's clock stands still for both, see
-`servogym.envs.engine.clock`; what it costs is told too.
+compiled loop, by the processor time of their thread. Both perform the same motion. MuJoCo's clock
+is stopped for both, see `servogym.envs.engine.clock`; its cost is reported too.
 
-Two rows for the friction: with it, physics alone is `mj_step` with MuJoCo's own friction
-constraint, which ours takes out of the constraint solver, so part of what the drive costs is earned
-there; and with no friction on either side, where the solver has the same to do for both.
+There are two kinds of rows. With friction, physics alone is `mj_step` with MuJoCo's own friction
+constraint, which ours takes out of the constraint solver, so the drive recovers part of its time
+there. Without friction on either side, the solver does the same work for both.
 """
 
 import copy
@@ -35,9 +34,9 @@ from ...envs.engine.machine import NO_IMAGES, Machine
 from ...envs.engine.physics import STATE, addresses, mj_step
 from ...envs.masters.port import MachinePort
 from ...envs.plants.linear_axis import linear_axis
-from . import Tell, show_table
+from . import Tell, alternate, show_table
 
-CYCLES = 600  # position cycles a block
+CYCLES = 600  # position cycles in a block
 ROWS: tuple[tuple[str, str, bool, bool], ...] = (  # key, name, each step, with friction
     ("rates_of_the_model", "friction, rates of the model", False, True),
     ("position_cycle_every_step", "friction, position cycle every step", True, True),
@@ -89,7 +88,7 @@ def _with_own_friction(machine: Machine) -> tuple[mujoco.MjModel, mujoco.MjData]
 def measure(
     drive: str, repeat: int, everything_each_step: bool, friction: bool = True
 ) -> dict[str, Any]:
-    """Nanoseconds per physics step with and without the drive, and their ratio, per block."""
+    """Time per physics step with and without the drive (ns), and their ratio (medians)."""
     machine = _moving_machine(drive, everything_each_step, friction)
     snapshot = machine.snapshot()
     steps = CYCLES * (1 if everything_each_step else machine.physics_steps)
@@ -125,8 +124,7 @@ def measure(
     alone()
     if np.abs(plain_data.qpos - machine.data.qpos).max() > SAME_MOTION:
         raise RuntimeError("the replay of the torques does not reproduce the motion")
-    with_drive()
-    taken = np.array([(with_drive(), without_clock(), alone()) for _ in range(repeat)])
+    taken = alternate([with_drive, without_clock, alone], repeat)
     ratios = taken[:, 0] / taken[:, 1]
     drive_and_step, step, with_clock = np.median(taken, axis=0).tolist()
     return {
@@ -141,7 +139,7 @@ def measure(
 
 
 def two_threads(drive: str, repeat: int) -> dict[str, float]:
-    """Throughput of two machines on two threads over one on one; the same for mujoco.batch."""
+    """Ratio of the throughput on two threads to that on one, also for mujoco.batch."""
     steps = 40_000
     machines = [_moving_machine(drive, False) for _ in range(2)]
     snapshots = [machine.snapshot() for machine in machines]
@@ -162,13 +160,10 @@ def two_threads(drive: str, repeat: int) -> dict[str, float]:
             batches[threads].step(nstep=steps)
         return time.perf_counter() - begin
 
-    run(machines)
-    batch(2)
-    ours, theirs = [], []
-    for _ in range(repeat):
-        ours.append(2 * run(machines[:1]) / run(machines))
-        theirs.append(batch(1) / batch(2))
-    return {"machines": float(np.median(ours)), "mujoco_batch": float(np.median(theirs))}
+    ours, theirs = np.median(alternate(
+        [lambda: 2 * run(machines[:1]) / run(machines), lambda: batch(1) / batch(2)], repeat
+    ), axis=0)
+    return {"machines": float(ours), "mujoco_batch": float(theirs)}
 
 
 _START = """
@@ -180,7 +175,7 @@ print(time.perf_counter() - begin)
 
 
 def start_times() -> dict[str, float]:
-    """Seconds from the start of Python to the first cycle, compiling (cold) and not (warm)."""
+    """Time from the start of Python to the first cycle, compiling (cold) or not (warm), in s."""
     with tempfile.TemporaryDirectory() as cache:
         environment = os.environ | {"SERVOGYM_CACHE_DIR": cache}
         times = []
@@ -194,7 +189,7 @@ def start_times() -> dict[str, float]:
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     drive, repeat = options.drive, options.repeat
     return {
         "drive": drive,
@@ -219,12 +214,12 @@ def show(results: dict[str, Any], console: Console) -> None:
     heading = ("", "mj_step\n(ns)", "drive + mj_step\n(ns)", "ratio\n(median)", "quartiles")
     show_table(console, title, heading, rows)
     console.print(
-        "friction: of mj_step by its constraint solver, ours outside of it, which is part of the "
+        "friction: in mj_step by its constraint solver, ours outside of it, which is part of the "
         "difference; no friction: on neither side"
     )
     rates = results["rates_of_the_model"]
     console.print(
-        "MuJoCo's clock stands still in both; where it is read for MjData.timer, mj_step takes "
+        "MuJoCo's clock is stopped in both; when it is read for MjData.timer, mj_step takes "
         f"{rates['mj_step_with_clock_ns']:.0f} ns"
     )
     threads = results["two_threads_over_one"]

@@ -1,16 +1,15 @@
-"""`servogym bench --envs`: what the environments cost, beside the loop and beside their peers.
+"""`servogym bench --envs`: time of the environments, compared with the loop and with their peers.
 
-Blocks alternate, so that a machine that grows slower meanwhile slows all of them. Peers that are
-not installed are left out: ``pip install gym-electric-motor`` in an environment of its own.
+Peers that are not installed are left out: ``pip install gym-electric-motor`` in an environment of
+its own.
 """
 
 import ctypes
 import gc
 import platform
-import time
 import warnings
-from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -19,55 +18,44 @@ import numpy as np
 from rich.console import Console
 
 from ...envs import POINT_TO_POINT, TASKS
-from . import Tell, show_table
+from . import Peer, Tell, alternate, rates, show_table, step_time
+from .vectors import FEW, ID, MANY, of_gymnasium
 
-ID = POINT_TO_POINT.ID
-STEPS = 190  # a block: less than an episode, so that resets stay out
-MANY, FEW = 256, 8  # environments of our vector, and of Gymnasium's
-PEERS = {"Cont-SC-PermExDc-v0": 1e-4, "InvertedPendulum-v5": 0.04}  # id: s a step
-
-
-def _seconds(step: Callable[[], Any], steps: int) -> float:
-    begin = time.perf_counter()
-    for _ in range(steps):
-        step()
-    return (time.perf_counter() - begin) / steps
+STEPS = 190  # in a block: less than an episode, so that no reset is included
+PEERS = {"Cont-SC-PermExDc-v0": 1e-4, "InvertedPendulum-v5": 0.04}  # id: time of a step (s)
 
 
 def overhead(drive: str, repeat: int) -> dict[str, float]:
     """Measure one environment: a step, the compiled loop alone, and the rest (µs, medians)."""
     env = POINT_TO_POINT(drive)
     action = np.zeros(1, np.float32)
-    times = []
-    for _ in range(repeat):
+
+    def times() -> tuple[float, float, float]:
         env.reset(seed=1)
-        whole = _seconds(lambda: env.step(action), STEPS)
-        loop = _seconds(lambda: env.machine.step(env.cycles_per_step), STEPS)
-        times.append((whole, loop, whole - loop))
-    step, loop, rest = np.median(times, axis=0) * 1e6
+        whole = step_time(lambda: env.step(action), STEPS)
+        loop = step_time(lambda: env.machine.step(env.cycles_per_step), STEPS)
+        return whole, loop, whole - loop
+
+    step, loop, rest = np.median(alternate([times], repeat), axis=0)[0] * 1e6
     return {"step_us": step, "loop_us": loop, "overhead_us": rest}
 
 
 def vectors(drive: str, repeat: int, threads: int) -> dict[str, float]:
-    """Agent steps a second of our vector and of Gymnasium's, and the ratio (medians)."""
+    """Agent steps per second of our vector and of Gymnasium's, and their ratio (medians)."""
     ours = gym.make_vec(ID, MANY, drive=drive, threads=threads)
     theirs = gym.make_vec(ID, FEW, vectorization_mode="sync", drive=drive)
-    rates = []
-    for _ in range(repeat):
-        row = []
-        for envs, n in ((ours, MANY), (theirs, FEW)):
-            envs.reset(seed=1)
-            actions = np.zeros((n, 1), np.float32)
-            row.append(n / _seconds(lambda e=envs, a=actions: e.step(a), STEPS))  # type: ignore[misc]
-        rates.append((*row, row[0] / row[1]))
+    peers = [of_gymnasium("ours", ours, MANY), of_gymnasium("sync", theirs, FEW)]
+    many, few = rates(peers, STEPS, repeat)
     ours.close()
     theirs.close()
-    many, few, ratio = np.median(rates, axis=0)
-    return {"ours": many, "sync_vector_env": few, "ratio": ratio, "threads": threads}
+    return {
+        "ours": many["per_s"], "sync_vector_env": few["per_s"], "ratio": few["ours_over"],
+        "threads": threads,
+    }
 
 
 def memory(drive: str) -> float:
-    """KB in use for one more machine of a vector, what the allocator keeps for later left out."""
+    """Memory of one more machine of a vector (KB), without free memory of the allocator."""
     arguments = {"drive": drive, "randomise": {"payload": (1.0, 9.0)}}
     gym.make_vec(ID, FEW, **arguments).reset(seed=1)  # type: ignore[arg-type]
     before = _resident()
@@ -79,7 +67,7 @@ def memory(drive: str) -> float:
 
 
 def _resident() -> float:
-    """Bytes of the process in memory; NaN where the system does not tell."""
+    """Resident memory of the process (bytes); NaN if the system does not report it."""
     gc.collect()
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
@@ -91,7 +79,7 @@ def _resident() -> float:
 
 
 def peers(repeat: int) -> list[dict[str, Any]]:
-    """Steps and simulated time a second of our environments and of those of others."""
+    """Steps and simulated time per second of our environments and of others."""
     kinds: list[tuple[str, gym.Env, float]] = []
     for task in TASKS:
         env = gym.make(task.ID)
@@ -103,31 +91,36 @@ def peers(repeat: int) -> list[dict[str, Any]]:
         with suppress(gym.error.Error, ImportError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             kinds.append((name, gym.make(name), period))
-    rates: list[list[float]] = []
-    for _ in range(repeat):
-        rates.append([])
-        for _, env, _ in kinds:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                env.action_space.seed(1)
-                env.reset(seed=1)
-                rates[-1].append(1.0 / _seconds(lambda e=env: _step(e), STEPS))  # type: ignore[misc]
-    medians = np.median(rates, axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        rows = rates(
+            [Peer(name, "", 1, partial(_step, env), partial(_restart, env))
+             for name, env, _ in kinds],
+            STEPS, repeat,
+        )
     return [
-        {"id": name, "step_s": period, "steps_per_s": rate, "times_real_time": rate * period}
-        for (name, _, period), rate in zip(kinds, medians, strict=True)
+        {
+            "id": name, "step_s": period, "steps_per_s": row["per_s"],
+            "times_real_time": row["per_s"] * period,
+        }
+        for (name, _, period), row in zip(kinds, rows, strict=True)
     ]
 
 
+def _restart(env: gym.Env) -> None:
+    env.action_space.seed(1)
+    env.reset(seed=1)
+
+
 def _step(env: gym.Env) -> None:
-    """One random step, and a reset where the episode ends."""
+    """Take one random step, and reset the environment if the episode ends."""
     *_, terminated, truncated, _ = env.step(0.1 * env.action_space.sample())
     if terminated or truncated:
         env.reset()
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     drive, repeat = options.drive, options.repeat
     return {
         "drive": drive,

@@ -1,7 +1,7 @@
 """`servogym bench --ethercat`: frames through slave controllers, and pysoem on a veth pair.
 
-The second part runs in a network namespace of its own (`unshare -Urn`), so it needs no rights;
-where there are no namespaces, or no pysoem, it is left out and the reason is shown.
+The second part runs in a network namespace of its own (`unshare -Urn`), so it needs no permission.
+Without namespaces or pysoem it is left out, and the reason is shown.
 """
 
 import importlib.util
@@ -15,6 +15,7 @@ import struct
 import subprocess
 import sys
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,12 @@ from ...drive.ethercat.frame import Command as C
 from ...drive.ethercat.frame import logical, pack
 from ...drive.ethercat.master import EtherCatMaster
 from ...envs.plants.catalogue import ethercat_line
-from . import Tell, show_table
+from . import Tell, alternate, show_table
 
 MODEL = "kollmorgen_akd"
 SLAVES = (1, 2, 8, 32)
 ON_THE_WIRE = ((1, "none"), (8, "none"), (1, "linear"), (8, "linear"))
-FRAMES = 100  # in a row: short, so that some row has a core for itself
+FRAMES = 100  # in a row: few, so that at least one row is not interrupted
 CYCLES, ROWS = 20_000, 20
 CLOCK_FRAMES = 100_000
 PERIOD = 2_000_000  # ns
@@ -42,63 +43,60 @@ def controllers(slaves: int, repeat: int) -> dict[str, float]:
 
     Returns: `best` and `median` of `repeat` rows of frames.
 
-    Raises RuntimeError where a working counter is wrong.
+    Raises RuntimeError if a working counter is wrong.
     """
     segment, _ = ethercat_line([MODEL] * slaves, "none")
     master = EtherCatMaster(Bus(segment))
     master.to_op()
     begin, size, _ = master._groups[0]
     frame = np.frombuffer(pack([logical(C.LRW, begin, bytes(size))]), np.uint8)
-    length, times = len(frame), []
-    for _ in range(repeat):
+    length = len(frame)
+
+    def row() -> float:
         spent = 0
         for _ in range(FRAMES):
             segment.frame[:length] = frame
             start = time.perf_counter_ns()
             segment.pass_frame(length, 0)
             spent += time.perf_counter_ns() - start
-        times.append(spent / FRAMES / 1000)
+        return spent / FRAMES / 1000
+
+    times = alternate([row], repeat)
     (counter,) = struct.unpack_from("<H", segment.frame.tobytes(), 26 + size)
     if counter != 3 * slaves:
         raise RuntimeError(f"working counter {counter} of {slaves} slaves")
-    return {"best": min(times), "median": statistics.median(times)}
+    return {"best": float(times.min()), "median": float(np.median(times))}
 
 
 def clocks(frames: int, rows: int) -> dict[str, Any]:
-    """Frames of process data with one linear axis, on each clock in turns, 2 ms of drive time each.
+    """Frames of process data for one linear axis on each clock, with 2 ms of drive time each.
 
-    Time is handed in, so the clocks of the wall run as fast as they can, as ``frame`` does.
+    Time is an argument, so the real-time clocks run as fast as possible, like ``frame``.
 
     Args:
-        frames: of each clock, in all.
-        rows: in how many turns.
+        frames: number of frames for each clock.
+        rows: number of turns.
 
     Returns: by clock the time of a frame (µs) and its ratio to that of ``frame`` in the same turn
-        (median), and working counters that were wrong.
+        (medians), and the number of wrong working counters.
     """
     names = {"frame": (Clock.FRAME, False), "frame, SYNC0": (Clock.FRAME, True),
              "dc, SYNC0": (Clock.DC, True), "real": (Clock.REAL, False)}
     buses = {name: _Clocked(clock, sync0) for name, (clock, sync0) in names.items()}
-    spent: dict[str, list[float]] = {name: [] for name in names}
-    for _ in range(rows):
-        for name, bus in buses.items():
-            spent[name].append(bus.run(frames // rows))
-    ratios = {
-        name: [own / first for own, first in zip(times, spent["frame"], strict=True)]
-        for name, times in spent.items()
-    }
+    spent = alternate([partial(bus.run, frames // rows) for bus in buses.values()], rows)
+    medians, ratios = np.median(spent, axis=0), np.median(spent / spent[:, :1], axis=0)
     return {
         name: {
-            "us": statistics.median(spent[name]), "ratio": statistics.median(ratios[name]),
-            "frames": frames // rows * rows, "wrong": bus.master.wrong,
+            "us": float(us), "ratio": float(ratio), "frames": frames // rows * rows,
+            "wrong": bus.master.wrong,
             "in_op": bus.master.slaves[0].state == AlState.OPERATIONAL,
         }
-        for name, bus in buses.items()
+        for (name, bus), us, ratio in zip(buses.items(), medians, ratios, strict=True)
     }
 
 
 class _Clocked:
-    """A master and a slave with a linear axis in OPERATIONAL, to which the time is handed in."""
+    """A master and a slave with a linear axis in OPERATIONAL, which are given the time."""
 
     def __init__(self, clock: Clock, sync0: bool):
         segment, machines = ethercat_line([MODEL], "linear")
@@ -117,11 +115,11 @@ class _Clocked:
         self.master.to(AlState.OPERATIONAL)
 
     def exchange(self, frame: bytes, now: int = 0) -> bytes | None:
-        """A frame at the time it is now."""
+        """Exchange a frame at the present time."""
         return self._bus.exchange(frame, self._now)
 
     def run(self, frames: int) -> float:
-        """Frames of process data; -> time of one (µs)."""
+        """Exchange frames of process data; -> time of one (µs)."""
         begin = time.perf_counter()
         for _ in range(frames):
             self._now += PERIOD
@@ -130,7 +128,7 @@ class _Clocked:
 
 
 def on_the_wire(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
-    """Pysoem's LRW cycles per second; -> rate and wrong working counters, or the reason."""
+    """Run pysoem; -> LRW cycles per second and wrong working counters, or the reason for none."""
     if importlib.util.find_spec("pysoem") is None:
         return {"left_out": "pip install pysoem"}
     if not shutil.which("unshare") or not shutil.which("ip"):
@@ -145,7 +143,7 @@ def on_the_wire(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
 
 
 def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
-    """What runs in the namespace: the server in a copy of this process, pysoem in this one."""
+    """Run in the namespace: the server in a copy of this process, pysoem in this one."""
     import pysoem
 
     from ...drive.wire.ethercat import EtherCatServer
@@ -190,7 +188,7 @@ def _inside(slaves: int, axis: str, cycles: int) -> dict[str, Any]:
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     return {
         "python": platform.python_version(),
         "controller_us": {n: controllers(n, 10 * options.repeat) for n in SLAVES},

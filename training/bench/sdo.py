@@ -1,15 +1,13 @@
-"""SDO servers side by side, for `servogym bench --can`.
+"""Comparison of SDO servers for `servogym bench --can`.
 
-The library `canopen` has a `LocalNode` that answers SDO requests from a dictionary; it is the
-comparison. It and our node answer the same clients over python-can's virtual bus in alternating
-blocks, each on a channel of its own, so that neither pays for dropping the other's frames: once in
-a thread each, as the library runs its node, and once without, where the client's loop lets them
-take their frames. What handling a frame costs without bus, threads and client is measured as well;
-the rest of a round trip is theirs.
+The peer is `LocalNode` of the library `canopen`, which answers SDO requests from a dictionary. It
+and our node answer the same clients over python-can's virtual bus in alternating blocks, each on a
+channel of its own, so that neither has to drop the other's frames. They run in a thread each, as
+the library runs its node, and also in the thread of the client. The time to handle a frame without
+bus, threads and client is measured as well; the rest of a round trip is due to these.
 """
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
@@ -23,6 +21,7 @@ from ...drive.canopen.frame import Base, Frame
 from ...drive.canopen.node import Node
 from ...drive.drive import Drive
 from ...drive.wire.bus import to_frame, to_message
+from . import alternate, step_time
 
 OURS, THEIRS = 1, 2  # node-ids
 NAMES = {OURS: "servogym", THEIRS: "canopen"}
@@ -30,13 +29,13 @@ REQUESTS = (
     bytes.fromhex("4041600000000000"),  # upload 6041h
     bytes.fromhex("237A600010270000"),  # download 607Ah
 )
-PAIRS = 100  # an upload and a download each, in a block
+PAIRS = 100  # in a block: an upload and a download each
 
 Client = Callable[[int], None]  # one upload and one download of a node
 
 
 def _dictionary() -> Any:
-    """6041h and 607Ah as `canopen` knows objects."""
+    """6041h and 607Ah as objects of `canopen`."""
     from canopen import objectdictionary
 
     dictionary = objectdictionary.ObjectDictionary()
@@ -52,7 +51,7 @@ def _dictionary() -> Any:
 
 @contextmanager
 def _raw_client(channel: str) -> Iterator[Client]:
-    """A loop over python-can's own send and recv; the nodes have threads."""
+    """A loop over python-can's send and recv; the nodes have threads."""
     with _threads(channel), _bus(channel, OURS) as to_ours, _bus(channel, THEIRS) as to_theirs:
         buses = {OURS: to_ours, THEIRS: to_theirs}
         yield lambda node_id: _ask(buses[node_id], node_id)
@@ -60,7 +59,7 @@ def _raw_client(channel: str) -> Iterator[Client]:
 
 @contextmanager
 def _one_thread(channel: str) -> Iterator[Client]:
-    """Run the loop in one thread, which also lets the nodes take their frames."""
+    """A loop over send and recv whose thread also runs the nodes."""
     import canopen
 
     with (
@@ -92,7 +91,7 @@ def _bus(channel: str, node_id: int) -> can.BusABC:
 
 
 def _ask(bus: can.BusABC, node_id: int, serve: Callable[[], None] | None = None) -> None:
-    """Both requests and their answers."""
+    """Send both requests and receive their answers."""
     for request in REQUESTS:
         bus.send(to_message(Frame(Base.SDO_REQUEST + node_id, request)))
         if serve:
@@ -103,7 +102,7 @@ def _ask(bus: can.BusABC, node_id: int, serve: Callable[[], None] | None = None)
 
 
 def _answer(bus: can.BusABC, node: Node, wait: float) -> None:
-    """Our node takes a frame and answers at once."""
+    """Let our node process a frame and answer at once."""
     message = bus.recv(wait)
     frame = to_frame(message) if message else None
     if frame:
@@ -114,7 +113,7 @@ def _answer(bus: can.BusABC, node: Node, wait: float) -> None:
 
 @contextmanager
 def _threads(channel: str) -> Iterator[None]:
-    """Both nodes on their buses, each in a thread."""
+    """Run both nodes on their buses, each in a thread."""
     import canopen
 
     network = canopen.Network()
@@ -168,7 +167,7 @@ def _handling() -> dict[int, Callable[[], None]]:
 
     answers: list[tuple[int, bytes]] = []
 
-    class Answers(canopen.Network):  # keeps what the node would send
+    class Answers(canopen.Network):  # keeps the answers of the node
         def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
             answers.append((can_id, bytes(data)))
 
@@ -195,16 +194,10 @@ def _handling() -> dict[int, Callable[[], None]]:
     return {OURS: ours, THEIRS: theirs}
 
 
-def _times(functions: Mapping[int, Callable[[], object]], repeat: int) -> dict[int, float]:
-    """Median time of one request (s), in alternating blocks."""
-    blocks: dict[int, list[float]] = {name: [] for name in functions}
-    for _ in range(repeat + 1):  # the first one warms up
-        for name, function in functions.items():
-            begin = time.perf_counter()
-            for _ in range(PAIRS):
-                function()
-            blocks[name].append((time.perf_counter() - begin) / PAIRS / len(REQUESTS))
-    return {name: float(np.median(times[1:])) for name, times in blocks.items()}
+def _times(pairs: Mapping[int, Callable[[], object]], repeat: int) -> dict[int, float]:
+    """Median time of one request (s) by node-id."""
+    taken = alternate([partial(step_time, pair, PAIRS) for pair in pairs.values()], repeat)
+    return dict(zip(pairs, (np.median(taken, axis=0) / len(REQUESTS)).tolist(), strict=True))
 
 
 def measure(repeat: int) -> dict[str, Any]:
@@ -232,6 +225,6 @@ CLIENTS: dict[str, Callable[[str], AbstractContextManager[Client]]] = {
 
 def _compare(times: dict[int, float], handling: dict[int, float]) -> dict[str, float]:
     result = {f"{NAMES[n]}_per_s": 1 / t for n, t in times.items()}
-    for n, t in times.items():  # of client, bus and threads
+    for n, t in times.items():  # share of client, bus and threads
         result[f"{NAMES[n]}_others_share"] = max(0.0, 1 - handling[n] / t)
     return result | {"ratio": times[THEIRS] / times[OURS]}

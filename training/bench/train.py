@@ -1,18 +1,18 @@
-"""`servogym bench --train`: PPO on our vector beside PPO on SB3's `DummyVecEnv`, in one run.
+"""`servogym bench --train`: PPO on our vector compared with PPO on SB3's `DummyVecEnv`, in one run.
 
-The same algorithm, environment, net, rollout, batches and epochs: only what steps the environments
-differs, so the ratio of the rollouts is what our vector is worth. Blocks alternate, so a machine
-that grows slower meanwhile slows all.
+Algorithm, environment, network, rollout, batches and epochs are the same and only the vector
+differs, so the ratio of the rollouts is the gain of our vector.
 """
 
 import time
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
 
-from ..learn import sb3  # first: tells what has to be installed
+from ..learn import sb3  # first, because it reports what has to be installed
 
 # isort: split
 from stable_baselines3 import PPO
@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from ...envs import POINT_TO_POINT
 from ..learn import checkpoint, hyperparameters
-from . import Tell, show_table
+from . import Tell, alternate, show_table
 
 ENV = POINT_TO_POINT.ID
 ROLLOUT = 8192  # steps between updates, of all environments together
@@ -55,7 +55,7 @@ def _learner(env: VecEnv) -> PPO:
 
 
 def _block(model: PPO) -> tuple[float, float]:
-    """One rollout and update: µs a step of the rollout, and of the update."""
+    """Run one rollout and update; -> time per step of the rollout and of the update (µs)."""
     stopwatch = _Stopwatch()
     begin = time.perf_counter()
     model.learn(ROLLOUT, stopwatch, reset_num_timesteps=False)
@@ -64,19 +64,15 @@ def _block(model: PPO) -> tuple[float, float]:
 
 
 def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> list[dict[str, Any]]:
-    """Medians of `blocks` after one for warming up; the first row is that of the peer."""
+    """Medians of `blocks` for each vector; the first row is that of the peer."""
     dummy = DummyVecEnv([lambda: gym.make(ENV, drive=drive) for _ in range(PEERS)])
     learners = {f"DummyVecEnv of {PEERS}": _learner(dummy)}
     for n in ours:
         learners[f"ServoVecEnv of {n}"] = _learner(sb3.make(ENV, n, drive=drive))
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in learners}
-    for _ in range(blocks + 1):
-        for name, learner in learners.items():
-            times[name].append(_block(learner))
-    taken = {name: np.array(found[1:]) for name, found in times.items()}
-    first = next(iter(taken.values()))
+    taken = alternate([partial(_block, learner) for learner in learners.values()], blocks)
+    first = taken[:, 0]
     rows = []
-    for name, found in taken.items():
+    for name, found in zip(learners, taken.swapaxes(0, 1), strict=True):
         whole = found.sum(axis=1)
         medians: dict[str, Any] = {
             "steps_per_s": 1e6 / np.median(whole),
@@ -92,7 +88,7 @@ def measure(drive: str, blocks: int = BLOCKS, ours: tuple[int, ...] = OURS) -> l
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     with sb3.one_thread():
         rows = measure(options.drive)
     return {"drive": options.drive, "versions": checkpoint.versions(), "train": rows}

@@ -1,18 +1,18 @@
-"""`servogym bench --vectors`: our vector beside those of others, and drive cycles beside am-sdk.
+"""`servogym bench --vectors`: our vector compared with others, and drive cycles with am-sdk.
 
-The vectors of Gymnasium and stable-baselines3 step the same environment, EnvPool steps one of its
-own of MuJoCo, am-sdk has an emulated drive of a joint in Python. Blocks alternate; peers that are
-not installed are left out: ``pip install envpool am-sdk`` in an environment of its own.
+The vectors of Gymnasium and stable-baselines3 step the same environment; EnvPool steps a MuJoCo
+environment of its own; am-sdk emulates the drive of a joint in Python. Peers that are not installed
+are left out: ``pip install envpool am-sdk`` in an environment of its own.
 """
 
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,31 +21,21 @@ from rich.console import Console
 from ...drive.drive import Drive
 from ...drive.kernel.words import Mode
 from ...envs import POINT_TO_POINT
-from . import Tell, show_table
+from . import Peer, Tell, rates, show_table
 
 ID = POINT_TO_POINT.ID
 MANY, FEW = 256, 8
 STEPS = 100  # a block: less than an episode, so that resets stay out
-CYCLES = 1000  # of a drive, a block
-CONTROLLED = (Mode.CYCLIC_SYNC_POSITION, Mode.PROFILE_POSITION)  # by the first a drive has
-SHAFT = 1e-4  # rad off the demand: the controllers have something to do
+CYCLES = 1000  # cycles of a drive in a block
+CONTROLLED = (Mode.CYCLIC_SYNC_POSITION, Mode.PROFILE_POSITION)  # the first supported one is used
+SHAFT = 1e-4  # rad off the demand, so that the controllers act
 ENVPOOL = "HalfCheetah-v4"  # 5 steps of physics a step
 
 
-class Peer(NamedTuple):
-    """A row: who, what, of how many environments, and a call that steps all of them once."""
-
-    name: str
-    what: str
-    envs: int
-    step: Callable[[], Any]
-    restart: Callable[[], Any]
-
-
-def _vector(name: str, vector: Any, n: int, seeded: bool = True) -> Peer:
+def of_gymnasium(name: str, vector: Any, n: int) -> Peer:
+    """A vector of Gymnasium with `n` environments of `ID`."""
     actions = np.zeros((n, *vector.single_action_space.shape), np.float32)
-    reset = partial(vector.reset, seed=1) if seeded else vector.reset
-    return Peer(name, ID, n, partial(vector.step, actions), reset)
+    return Peer(name, ID, n, partial(vector.step, actions), partial(vector.reset, seed=1))
 
 
 def _made(drive: str) -> gym.Env:
@@ -58,7 +48,7 @@ def vectors(drive: str, stack: ExitStack) -> Iterator[Peer]:
         vector = gym.make_vec(ID, n, vectorization_mode=mode, drive=drive)
         stack.callback(vector.close)
         names = {"sync": "Gymnasium SyncVectorEnv", "async": "Gymnasium AsyncVectorEnv"}
-        yield _vector(names.get(mode, "ours"), vector, n)
+        yield of_gymnasium(names.get(mode, "ours"), vector, n)
     with suppress(ImportError):
         from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
@@ -81,7 +71,7 @@ def drives(drive: str) -> Iterator[Peer]:
     """A position cycle of one drive that controls, called from Python."""
     ours = Drive(drive)
     mode = next((mode for mode in CONTROLLED if mode in ours.model.modes), ours.model.modes[0])
-    ours.write("modes_of_operation", int(mode))  # without a mode no controller would run
+    ours.write("modes_of_operation", int(mode))  # without a mode no controller runs
     for word in (0x06, 0x07, 0x0F):
         ours.write("controlword", word)
         ours.cycle(0.0, 0.0)
@@ -98,28 +88,6 @@ def drives(drive: str) -> Iterator[Peer]:
         yield Peer("am-sdk", "am_cycle of sim:M", 1, partial(am_sdk.am_cycle, session), int)
 
 
-def _rates(
-    peers: list[Peer], steps: int, repeat: int, clock: Callable[[], float] = time.perf_counter
-) -> list[dict[str, Any]]:
-    """Medians of steps a second of all environments together, and of the ratio to the first."""
-    found: list[list[float]] = []
-    for _ in range(repeat + 1):
-        found.append([])
-        for peer in peers:
-            peer.restart()
-            begin = clock()
-            for _ in range(steps):
-                peer.step()
-            found[-1].append(peer.envs * steps / (clock() - begin))
-    taken = np.array(found[1:])
-    ratio = np.median(taken[:, :1] / taken, axis=0)
-    rates = np.median(taken, axis=0)
-    return [
-        {"name": p.name, "what": p.what, "envs": p.envs, "per_s": float(r), "ours_over": float(q)}
-        for p, r, q in zip(peers, rates, ratio, strict=True)
-    ]
-
-
 def _version(name: str) -> str:
     try:
         return version(name)
@@ -128,18 +96,18 @@ def _version(name: str) -> str:
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured."""
+    """Measure everything."""
     drive, repeat = options.drive, max(options.repeat // 20, 3)
     with ExitStack() as stack:
-        rows = _rates(list(vectors(drive, stack)), STEPS, repeat)
+        rows = rates([*vectors(drive, stack)], STEPS, repeat)
     return {
         "drive": drive,
         "cores": os.cpu_count(),
         "versions": {n: _version(n) for n in
                      ("gymnasium", "stable-baselines3", "envpool", "am-sdk", "mujoco")},
         "vectors": rows,
-        # a block is over in a millisecond: who else works here would decide it
-        "drives": _rates(list(drives(drive)), CYCLES, repeat, time.process_time),
+        # a block takes about a millisecond, so other programs would dominate its wall time
+        "drives": rates([*drives(drive)], CYCLES, repeat, time.process_time),
     }
 
 

@@ -1,7 +1,7 @@
-"""`servogym bench --workers`: `servogym compare` alone and by workers, in turns, as a user runs it.
+"""`servogym bench --workers`: `servogym compare` in one process and by workers, in turn.
 
-Alone it steps physics on all cores, so it is measured on one thread too. Each run is a process of
-its own, from its start to its end; the files of all have to be the same.
+One process steps physics on all cores, so it is also measured with one thread. Each run is a new
+process, measured from start to end; all runs have to write the same files.
 """
 
 import os
@@ -55,12 +55,12 @@ def _files(folder: Path) -> dict[str, bytes]:
 def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> dict[str, Any]:
     """Seconds of `repeat` runs on one thread, on all and by workers, and medians of their ratios.
 
-    Raises RuntimeError where the files differ, or a run fails.
+    Raises RuntimeError if the files differ or a run fails.
     """
     taken = []
     with tempfile.TemporaryDirectory() as scratch:
         serial, alone, shared = (Path(scratch, name) for name in ("serial", "alone", "shared"))
-        _seconds(env, policies, drive, alone)  # compiles what is not kept yet
+        _seconds(env, policies, drive, alone)  # compiles what is not in the cache yet
         for _ in range(repeat):
             taken.append((
                 _seconds(env, policies, drive, serial, SERVOGYM_THREADS="1"),
@@ -82,8 +82,8 @@ def measure(env: str, policies: str, drive: str, workers: int, repeat: int) -> d
 
 
 def results(options: Any, tell: Tell) -> dict[str, Any]:
-    """What is measured, of the comparisons that are asked for, or else of `rows`."""
-    Work(options.workers)  # refuses a number that cannot be
+    """Measure the requested comparisons, by default those of `rows`."""
+    Work(options.workers)  # refuses an invalid number
     found: dict[str, Any] = {"workers": options.workers, "cores": os.cpu_count(), "rows": []}
     if hasattr(os, "getloadavg"):
         found["load_before"] = round(os.getloadavg()[0], 1)

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from . import arguments
 
-# option -> module of `training.bench`, in the order in which one of several is taken
+# option -> module of `training.bench`; of several options, the first one here applies
 MODULES = {
     "workers": "workers", "train": "train", "gpu": "device", "can": "can", "ethercat": "ethercat",
     "vectors": "vectors", "envs": "envs",

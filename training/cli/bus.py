@@ -1,4 +1,4 @@
-"""The options for a python-can bus, which several commands share."""
+"""The options for a python-can bus, shared by several commands."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,7 @@ def opened(options: argparse.Namespace) -> Any:
 
 
 def where(options: argparse.Namespace) -> str:
-    """Return the options that name the bus."""
+    """Describe the bus by its options."""
     from ...drive.wire import interfaces
 
     return interfaces.described(keywords(options), option)
@@ -58,7 +58,7 @@ def keywords(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def row(options: argparse.Namespace, **others: Any) -> "BusRow":
-    """Return the bus given by the options as a machine file has it, with other fields of it."""
+    """Return the bus given by the options as a row of a machine file, with further fields."""
     from ...envs.serve.description import BusRow
 
     given = keywords(options)
@@ -67,5 +67,5 @@ def row(options: argparse.Namespace, **others: Any) -> "BusRow":
 
 
 def option(name: str) -> str:
-    """The option of a keyword."""
+    """Return the option of a keyword."""
     return f"--{name.replace('_', '-')}"

@@ -42,7 +42,7 @@ def _decode(options: argparse.Namespace, console: Console) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     if empty:
-        raise ValueError(f"{options.log}: there is no frame in it; is it complete?")
+        raise ValueError(f"{options.log} contains no frame; is it complete?")
     return 0
 
 
@@ -52,7 +52,7 @@ def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
     from ...drive.wire.pcapng import read
 
     if options.node_id:
-        raise ValueError("--node-id is for CAN; slaves of EtherCAT are all told")
+        raise ValueError("--node-id is for CAN; all slaves of an EtherCAT capture are decoded")
     decoder = EtherCatDecoder(options.drive)
     begin, count = None, 0
     for packet in read(options.log):
@@ -62,8 +62,8 @@ def _of_ethercat(options: argparse.Namespace) -> Iterator[tuple[float, str]]:
             yield (packet.time - begin) * 1e-9, text
     if count and decoder.others == count:
         raise ValueError(
-            f"{options.log}: none of its {count} frames is EtherCAT's (type 88A4h, or UDP to that "
-            "port): was it recorded at the right interface?"
+            f"{options.log}: none of its {count} frames is an EtherCAT frame (type 88A4h, or UDP "
+            "to that port): was it recorded at the right interface?"
         )
     if decoder.others:
         print(f"{decoder.others} frames of other protocols were left out", file=sys.stderr)

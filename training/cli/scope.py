@@ -17,8 +17,8 @@ CHANNELS = [
 ]
 OF_A_MACHINE = [*CHANNELS[:3], "axis.torque_command", "statusword"]
 BUS = "bus"
-ONLY_OF_A_BUS = f"is for a running node, `servogym scope {BUS}`"
-MOST = 6  # panels of a log without any of them
+ONLY_OF_A_BUS = f"applies only to a running node, `servogym scope {BUS}`"
+MOST = 6  # panels of a log that has none of `CHANNELS`
 DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
 
@@ -38,20 +38,20 @@ def add(scope: argparse.ArgumentParser) -> None:
         "--trigger", help="CHANNEL:EDGE:LEVEL, where EDGE is rising, falling, above or change"
     )
     scope.add_argument(
-        "--before", type=arguments.FROM_ZERO, default=BEFORE, help=f"samples ahead of it ({BEFORE})"
+        "--before", type=arguments.FROM_ZERO, help=f"samples before the trigger ({BEFORE})"
     )
     scope.add_argument(
-        "--depth", type=arguments.COUNT, default=DEPTH, help=f"samples in all ({DEPTH})"
+        "--depth", type=arguments.COUNT, default=DEPTH, help=f"total number of samples ({DEPTH})"
     )
     scope.add_argument(
         "--move", type=arguments.FINITE, default=0.1, help="distance of the move, m or rad (0.1)"
     )
     scope.add_argument("--node-id", type=arguments.NODE_ID, help="node-id on a bus or in a log (1)")
     scope.add_argument(
-        "--rate", type=arguments.POSITIVE, help=f"polls a second ({RATE:g})"
+        "--rate", type=arguments.POSITIVE, help=f"polls per second ({RATE:g})"
     )
     scope.add_argument(
-        "--duration", type=arguments.POSITIVE, help=f"of a bus at most, s ({DURATION:g})"
+        "--duration", type=arguments.POSITIVE, help=f"longest recording of a bus, s ({DURATION:g})"
     )
     buses.add(scope)
     scope.add_argument(
@@ -67,24 +67,26 @@ def _trigger(text: str | None, named: Callable[[str], str]):
         return None
     match = re.fullmatch(r"(.+):(rising|falling|above|change)(?::(-?[\d.]+(?:e-?\d+)?))?", text)
     if not match:
-        raise ValueError(f"--trigger = {text!r}: use CHANNEL:EDGE:LEVEL, as 6064h:rising:300000")
+        raise ValueError(
+            f"--trigger = {text!r}: use CHANNEL:EDGE:LEVEL, such as 6064h:rising:300000"
+        )
     return Trigger(named(match[1]), Edge[match[2].upper()], float(match[3] or 0))
 
 
 def _asked(options: argparse.Namespace) -> list[str]:
     asked = arguments.listed(options.channels)
     if options.channels is not None and not asked:
-        raise ValueError(f"--channels = {options.channels!r} names none")
+        raise ValueError(f"--channels = {options.channels!r} names no channel")
     return asked
 
 
 def _window(options: argparse.Namespace, trigger: Any) -> dict[str, Any]:
-    if not 0 <= options.before < max(options.depth, 1) and options.before != BEFORE:
+    before = min(BEFORE, options.depth - 1) if options.before is None else options.before
+    if before >= options.depth:
         raise ValueError(
-            f"--before = {options.before} samples is out of range 0..{options.depth - 1}, it is "
-            "less than --depth"
+            f"--before = {before} samples is out of range 0..{options.depth - 1}: give less than "
+            "--depth"
         )
-    before = min(options.before, options.depth - 1) if options.before == BEFORE else options.before
     return {"depth": options.depth, "trigger": trigger, "before": before if trigger else 0}
 
 
@@ -100,9 +102,9 @@ def _scope(options: argparse.Namespace, console: Console) -> int:
         buses.refuse(options, ONLY_OF_A_BUS, "rate", "duration", "node_id")
         recording, said, during = _of_machine(options), "", "during the move"
     if not recording.triggered:
-        raise ValueError(f"--trigger = {options.trigger!r}: it did not come {during}")
+        raise ValueError(f"--trigger = {options.trigger!r}: the trigger did not occur {during}")
     if not len(recording):
-        raise ValueError(f"no sample {during}: none of the channels came")
+        raise ValueError(f"no sample {during}: none of the channels was received")
     options.out.mkdir(parents=True, exist_ok=True)
     recording.save(options.out / "scope.csv")
     draw(recording, options.out / "scope.png")
@@ -143,7 +145,10 @@ def _of_log(options: argparse.Namespace):
     log = Path(options.machine)
     if not log.is_file():
         known = f"{', '.join(machines.NAMES)}, an MJCF file, {BUS}, or a log"
-        raise ValueError(f"machine {options.machine!r} is unknown, and no such file: {known}")
+        raise ValueError(
+            f"machine {options.machine!r} is unknown, and there is no such file: choose "
+            f"one of {known}"
+        )
     source = Source(log, options.drive)
     asked = _asked(options)
     node = options.axis or (None if options.node_id is None else str(options.node_id))
@@ -188,6 +193,6 @@ def _of_node(options: argparse.Namespace):
             ended = f", ended by {error}"
     finally:
         bus.shutdown()
-    late = f", {scope.late} polls late: ask for less" if scope.late else ""
+    late = f", {scope.late} polls late: lower --rate" if scope.late else ""
     said = f" of node {node_id}{late}{ended}"
     return recording, said, f"within {duration:g} s"

@@ -4,12 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import sync_manager
 from .record import Event
-from .registers import R
+from .registers import FULL, READ, REPEAT, WRITTEN, R
 
-ERROR = 0x10  # bit 4 of AL Status
-REPEAT = 0x02  # bit 1 of the activation and PDI bytes of a sync manager
 OUT, IN = 0, 1  # sync managers of the mailbox
 
 
@@ -90,17 +87,17 @@ class Pdi:
 
     def mailbox_take(self) -> bytes:
         """Read and empty the buffer of SM0; b"" if it is empty."""
-        if not self.memory[self._status(OUT)] & sync_manager.FULL:
+        if not self.memory[self._status(OUT)] & FULL:
             return b""
         manager = self.sync_manager(OUT)
-        self.memory[self._status(OUT)] &= 0xFF ^ (sync_manager.FULL | sync_manager.WRITTEN)
+        self.memory[self._status(OUT)] &= 0xFF ^ (FULL | WRITTEN)
         self.memory[R.AL_EVENT + 1] &= 0xFF ^ 1 << OUT
         return self.memory[manager.start : manager.start + manager.length].tobytes()
 
     @property
     def mailbox_waiting(self) -> bool:
         """Whether SM1 holds a telegram that the master has not read."""
-        return bool(self.memory[self._status(IN)] & sync_manager.FULL)
+        return bool(self.memory[self._status(IN)] & FULL)
 
     def mailbox_put(self, data: bytes) -> bool:
         """Fill SM1; False if it is off or still full, and the caller has to keep the data."""
@@ -115,7 +112,7 @@ class Pdi:
         whole = data[: manager.length].ljust(manager.length, b"\0")
         self.memory[manager.start : manager.start + manager.length] = np.frombuffer(whole, np.uint8)
         status = self._status(IN)
-        self.memory[status] = int(self.memory[status]) & ~sync_manager.READ | sync_manager.FULL
+        self.memory[status] = int(self.memory[status]) & ~READ | FULL
         self.memory[R.AL_EVENT + 1] &= 0xFF ^ 1 << IN
 
     @property
@@ -135,9 +132,7 @@ class Pdi:
     def mailboxes_reset(self) -> None:
         """Empty both mailboxes."""
         for n in (OUT, IN):
-            self.memory[self._status(n)] &= 0xFF ^ (
-                sync_manager.FULL | sync_manager.WRITTEN | sync_manager.READ
-            )
+            self.memory[self._status(n)] &= 0xFF ^ (FULL | WRITTEN | READ)
         self.memory[R.AL_EVENT + 1] &= 0xFC
 
     def take_events(self) -> int:

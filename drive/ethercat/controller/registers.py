@@ -70,6 +70,13 @@ class R(IntEnum):
     LATCH_TIME = 0x09B0
 
 
+# bytes of a sync manager
+MAILBOX = 0x02  # control (+4): one buffer with handshake
+FULL = 0x08  # status (+5) of a mailbox
+WRITTEN, READ = 0x01, 0x02  # status (+5): interrupts
+REPEAT = 0x02  # activation (+6) and PDI control (+7): repeat request and its acknowledge
+
+
 class Effect(IntEnum):
     """Effect of a write from EtherCAT beyond the register's value."""
 

@@ -9,11 +9,7 @@ from . import dc
 from .bits import get16
 from .process_image import NONE_WRITTEN, OUTPUTS
 from .record import NEVER, REGISTERS, SYNC_MANAGERS, Event, SyncMode
-from .registers import R
-
-FULL = 0x08  # mailbox status of a sync manager (+5 bit 3)
-WRITTEN, READ = 0x01, 0x02  # its interrupts (+5 bits 0, 1)
-MAILBOX = 0x02  # its control byte: one buffer with handshake
+from .registers import FULL, MAILBOX, READ, WRITTEN, R
 
 
 @block
