@@ -291,7 +291,7 @@ MAPPING = {
     "mapping: a reserved number of entries": refuse("2F01160041000000", 0x1601, 0, INVALID),
     "tpdo: without entries nothing is sent": write(0x1801, 1, 0x281, 4)
     + "> 000#0101\n< 181#5002\n+9\n> 281#R\n> 080#",
-    "mapping: length differs from the object's": refuse("2301160120004060", 0x1601, 1, 0x06040041),
+    "mapping: length is not that of the object": refuse("2301160120004060", 0x1601, 1, 0x06040041),
     "mapping: no such object": refuse("2301160110000070", 0x1601, 1, 0x06020000),
     "mapping: no such sub-index": refuse("2301160120097D60", 0x1601, 1, 0x06090011),
     "mapping: entries change only while their number is 0": write(0x1601, 1, CONTROLWORD, 4)

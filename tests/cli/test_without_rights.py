@@ -68,7 +68,7 @@ def test_a_user_without_the_right_reads_the_remedy_before_anything_is_compiled(
     (line,) = done.stderr.splitlines()
     command, _, said = line.partition(": ")
     assert command == f"servogym {words.split()[0]}"
-    needs = "interface lo: raw sockets need the right CAP_NET_RAW: sudo setcap cap_net_raw+ep "
+    needs = "interface lo: raw sockets need the capability CAP_NET_RAW: sudo setcap cap_net_raw+ep "
     assert needs in said
     assert "or run it with sudo" in said
     assert otherwise in said
