@@ -72,20 +72,24 @@ def with_capabilities(
         if index == SUPPORTED_MODES and row.format:
             others = int(row.default) & ~KNOWN
             bits = others | sum(1 << mode_bit(mode) for mode in modes)
-            row = replace(row, default=bits & (1 << 8 * row.size) - 1)  # some have UNSIGNED8
-        elif index == SUPPORTED_METHODS and not subindex:
-            row = replace(row, default=len(methods) if (index, 1) in objects else 0)
-        elif index == SUPPORTED_METHODS:
+            row = _with_bits(row, bits)
+        elif index == SUPPORTED_METHODS and row.format and not subindex:
+            row = _with_bits(row, len(methods) if (index, 1) in objects else 0)
+        elif index == SUPPORTED_METHODS and row.format:
             if subindex == 1:  # the others are like the first
                 for n, method in enumerate(methods, 1):
                     named = f"{row.name.removesuffix('_1')}_{n}"
                     one = objects.get((index, n)) or replace(
                         row, subindex=n, name=named, area="constant", offset=0
                     )
-                    bits = method & 0xFF if one.format.isupper() else method  # some have UNSIGNED8
-                    answers[index, n] = replace(one, default=bits)
+                    answers[index, n] = _with_bits(one, method)
             continue
         elif row.hook in possible:
             row = replace(row, possible=possible[row.hook])
         answers[index, subindex] = row
     return answers
+
+
+def _with_bits(row: Object, value: int) -> Object:
+    """A row with a number as default, cut to the row's type; files from elsewhere give it any."""
+    return replace(row, default=value if row.real else row.shown(value)) if row.format else row

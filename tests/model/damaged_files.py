@@ -27,6 +27,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import can
+
 from servogym.drive.canopen import eds
 from servogym.drive.canopen.eds_import import _Import, import_eds
 from servogym.drive.canopen.sheet import read_sheet
@@ -37,7 +39,7 @@ from servogym.drive.wire import log, pcapng
 from servogym.drive.wire.ethercat_import import import_esi, import_sii
 from servogym.drive.wire.recording import Source
 
-LONGEST = 5  # s of processor time
+LONGEST = 1  # s of processor time
 MEMORY = 2**30  # bytes beyond what the process had before
 MODELS = ("generic", "kollmorgen_akd", "festo_cmmp_as")
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -96,6 +98,22 @@ def lines_changed(data: bytes, chance: random.Random, words: tuple[str, ...]) ->
             other = chance.randrange(len(lines))
             lines[at], lines[other] = lines[other], lines[at]
     return "\n".join(lines).encode("utf-8", "replace")
+
+
+def written_otherwise(data: bytes, chance: random.Random) -> bytes:
+    """The same text with other line ends, in another encoding, or with parts a second time."""
+    lines = data.decode("utf-8", "replace").splitlines()
+    if lines and chance.random() < 0.3:  # a section, an element, some frames
+        at, to = chance.randrange(len(lines)), chance.randrange(len(lines) + 1)
+        lines[to:to] = lines[at : at + chance.choice((1, 7, 7, 60))]
+    ends = chance.choice((("\n",), ("\r\n",), ("\r",), ("\n", "\r\n"), ("\n", "\r\n", "\r", "\n\n")))
+    text = "".join(line + chance.choice(ends) for line in lines)
+    if chance.random() < 0.3:
+        at = chance.randrange(len(text) + 1)
+        text = text[:at] + chance.choice(("µ", "ä", "\x85", "\u2028", "値", "\0", "😀")) + text[at:]
+    encoding = chance.choice(("utf-8", "utf-8-sig", "latin-1", "cp1252", "gb2312", "shift_jis",
+                              "utf-16", "utf-16-le", "utf-16-be", "utf-32"))
+    return text.encode(encoding, "replace")
 
 
 # ------------------------------------------------------------------------------- the formats
@@ -281,6 +299,32 @@ def small_candump(chance: random.Random) -> bytes:
     return "\n".join((*lines, "")).encode()
 
 
+def text_log(suffix: str, source: bytes) -> bytes:
+    """A log of candump in another text format of python-can."""
+    with tempfile.TemporaryDirectory() as place:
+        begin, file = Path(place, "log.log"), Path(place, f"log{suffix}")
+        begin.write_bytes(source)
+        with can.LogReader(begin) as frames, can.Logger(file) as out:
+            for frame in frames:
+                out(frame)
+        return file.read_bytes()
+
+
+def printed(source: bytes) -> bytes:
+    """A log of candump as candump prints it."""
+    rows = [re.fullmatch(r"\((.*)\) (\w+) (\w+)#(\w*)", row) for row in source.decode().split("\n")]
+    return "\n".join(f" ({row[1]})  {row[2]}  {row[3]}   [{len(row[4]) // 2}]  "
+                     + " ".join(re.findall("..", row[4])) for row in rows if row).encode()
+
+
+def frames(chance: random.Random) -> bytes:
+    """Some frames of a bus, as candump logs them."""
+    return "\n".join(
+        f"({n * 0.001:.6f}) can0 {chance.randrange(0x800):03X}#"
+        f"{chance.randbytes(chance.randrange(9)).hex().upper()}" for n in range(chance.randint(1, 30))
+    ).encode() + b"\n"
+
+
 def small_pcapng(chance: random.Random) -> bytes:
     """Blocks of a capture, with frames that are EtherCAT or not."""
     order = chance.choice("<<<>")
@@ -384,6 +428,16 @@ def _own_captures() -> list[bytes]:
     return [small_pcapng(chance) for _ in range(20)]
 
 
+def _golden() -> list[bytes]:
+    return [(GOLDEN / f"{name}.log").read_bytes()[:6000].rpartition(b"\n")[0] + b"\n"
+            for name in ("generic", "festo_cmmd")]
+
+
+def _text_log(suffix: str, write: Callable[[bytes], bytes], *words: str) -> Format:
+    return Format(suffix, lambda: [write(log) for log in _golden()],
+                  lambda chance: write(frames(chance)), _log, words)
+
+
 FORMATS = {
     "eds": Format(".eds", lambda: _own_sheets(".eds"), small_eds, _sheet,
                   ("[", "]", "=", "[6040]", "[1600sub99]", "[6041sub0]", "[1003Name]", *EDS_KEYS)),
@@ -394,8 +448,16 @@ FORMATS = {
                    *(f"<{tag}>" for tag in ESI_TAGS), *(f"</{tag}>" for tag in ESI_TAGS))),
     "sii": Format(".bin", lambda: [sii.of_model(load(model, "ethercat")) for model in MODELS],
                   small_sii, _sii),
-    "candump": Format(".log", lambda: [(GOLDEN / f"{name}.log").read_bytes()[:6000] for name in
-                                       ("generic", "festo_cmmd")], small_candump, _log, CAN_LINES),
+    "candump": Format(".log", _golden, small_candump, _log, CAN_LINES),
+    "printed": _text_log(".txt", printed, *CAN_LINES),
+    "asc": _text_log(".asc", functools.partial(text_log, ".asc"), "base dec  timestamps relative",
+                     "base hex  timestamps absolute", "date Sam Jan 1 10:00:00 2022", "// version 9",
+                     "   0.5 1  181             Rx   d 8 01", "Begin Triggerblock", "  nan 1  x  Rx"),
+    "trc": _text_log(".trc", functools.partial(text_log, ".trc"), ";$FILEVERSION=1.1",
+                     ";$FILEVERSION=9", ";$STARTTIME=nan", ";$COLUMNS=N,O,T,B,I,d,R,L,D", ";",
+                     " 1) 1.0 1 Rx 0181 -  8  01", " 1) 1e400 DT 1 0181 Rx - 2 00 00"),
+    "csv": _text_log(".csv", functools.partial(text_log, ".csv"), "timestamp,arbitration_id", ",,,,",
+                     "1.0,0x181,0,0,0,9,!!!!", "nan,0x181,0,0,0,1,AA==", "1.0,-1,0,0,0,0,"),
     "pcapng": Format(".pcapng", _own_captures, small_pcapng, _capture),
 }
 
@@ -417,8 +479,11 @@ def inputs(kind: str, seed: int, count: int):
     for n in range(count):
         data = of.make(chance) if n % 2 else own[chance.randrange(len(own)) if n % 400 else 0]
         if n % 2 == 0 or chance.random() < 0.3:
-            if of.words and chance.random() < 0.7:
+            how = chance.random()
+            if of.words and how < 0.6:
                 data = lines_changed(data, chance, of.words)
+            elif of.words and how < 0.75:
+                data = written_otherwise(data, chance)
             else:
                 data = bytes_changed(data, chance)
         yield data

@@ -1,5 +1,6 @@
 """6502h and 60E3h tell a master what the drive can, whatever the base of its model could."""
 
+import re
 from pathlib import Path
 
 import canopen
@@ -10,6 +11,7 @@ from servogym.drive.canopen import eds
 from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load
+from servogym.drive.model.rows import DATA_TYPES
 from servogym.drive.objects.abort import SdoAbort
 from servogym.training.cli import main
 
@@ -48,6 +50,22 @@ def test_a_model_with_more_methods_than_rows_gets_rows(tmp_path):
     model = load(made(tmp_path / "own", "festo_cmmp_as", TWO_MODES, LIST_OF_ONE))
     assert [Drive(model).read(0x60E3, n) for n in range(4)] == [3, 17, -18, 35]
     assert model.objects[0x60E3, 3].name == "supported_homing_method_3"
+
+
+@pytest.mark.parametrize("data_type", DATA_TYPES)
+def test_an_object_of_the_list_can_have_any_type(tmp_path, data_type):
+    sheet = tmp_path / "own.eds"
+    eds.write("generic", sheet)
+    text = sheet.read_text()
+    for section, number in (("[6502]", "0x0007"), ("[60E3sub0]", "0x0005"), ("[60E3sub1]", "0x0002")):
+        head, found, tail = text.partition(f"{section}\n")
+        assert found and f"DataType={number}" in tail.partition("[")[0]
+        tail = tail.replace(f"DataType={number}", f"DataType={DATA_TYPES[data_type]}", 1)
+        tail = re.sub("DefaultValue=.*", "DefaultValue=-2147483648", tail, count=1)
+        text = f"{head}{found}{tail}"
+    sheet.write_text(text)
+    import_eds(sheet, tmp_path / "model")
+    Drive(tmp_path / "model")
 
 
 @pytest.mark.parametrize(
