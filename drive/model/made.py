@@ -15,10 +15,26 @@ from typing import Any, NamedTuple
 
 from .rows import OBJECT_COLUMNS
 
-PDO_COLUMNS = ("direction", "number", "cob_id", "transmission_type", "inhibit_time", "position",
-               "index", "subindex", "bits", "note", "section")
-
 HEADING = "| line | object | the file says | taken | why |\n|---|---|---|---|---|\n"
+
+
+class PdoRow(NamedTuple):
+    """A row of pdo.csv: an entry of a PDO, or a PDO without entries."""
+
+    direction: str  # rx, tx
+    number: int
+    cob_id: str
+    transmission_type: int = 0
+    inhibit_time: int = 0
+    position: int | str = ""
+    index: str = ""
+    subindex: str = ""
+    bits: int | str = ""
+    note: str = ""
+    section: str = ""
+
+
+PDO_COLUMNS = PdoRow._fields
 
 
 class Repair(NamedTuple):
@@ -45,7 +61,7 @@ class ModelFolder:
     base: str = "generic"
     toml: dict[str, Any] = field(default_factory=dict)  # further keys of drive.toml
     objects: list[dict[str, Any]] = field(default_factory=list)  # rows of objects.csv
-    pdos: list[tuple[Any, ...]] | None = field(default_factory=list)  # rows of pdo.csv; the base's
+    pdos: list[PdoRow] | None = field(default_factory=list)  # None: those of the base
     more: dict[str, str] = field(default_factory=dict)  # further files, as ethercat.toml
     notes: list[str] = field(default_factory=list)  # sources of everything else, one line each
     repairs: list[Repair] = field(default_factory=list)
@@ -86,8 +102,7 @@ def write(made: ModelFolder, folder: Path, check: Callable[[Path], str]) -> None
     try:
         _table(place / "objects.csv", OBJECT_COLUMNS, made.objects)
         if made.pdos is not None:
-            rows = [dict(zip(PDO_COLUMNS, row, strict=True)) for row in made.pdos]
-            _table(place / "pdo.csv", PDO_COLUMNS, rows)
+            _table(place / "pdo.csv", PDO_COLUMNS, [row._asdict() for row in made.pdos])
         for name, text in made.more.items():
             (place / name).write_text(text, encoding="utf-8")
         (place / "drive.toml").write_text(_toml(made), encoding="utf-8")

@@ -20,7 +20,7 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 from servogym.drive.canopen.eds import object_dictionary
-from servogym.drive.canopen.eds_import import import_eds
+from servogym.drive.imports.eds import import_eds
 from servogym.drive.wire.server import Server
 from servogym.envs.plants.catalogue import axis_for
 

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from servogym.drive.canopen import eds
-from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.drive import Drive
+from servogym.drive.imports.eds import import_eds
 from servogym.drive.master import Master
 from servogym.drive.model.model import load, model_names
 from servogym.drive.objects.abort import SdoAbort

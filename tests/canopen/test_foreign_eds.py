@@ -19,9 +19,9 @@ from foreign_eds import outcome, until
 
 from servogym.drive.canopen import eds
 from servogym.drive.canopen.eds import object_dictionary
-from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.canopen.sheet import number, read_sheet
 from servogym.drive.drive import Drive
+from servogym.drive.imports.eds import import_eds
 from servogym.drive.objects.abort import Abort, SdoAbort
 from servogym.drive.wire.server import Server
 from servogym.envs import Machine, commission_joint, gantry, linear_axis, rotary_axis

@@ -11,8 +11,8 @@ import pytest
 from foreign_eds import outcome
 from test_foreign_eds import SMALL, sheet
 
-from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.drive import Drive
+from servogym.drive.imports.eds import import_eds
 from servogym.drive.objects.abort import Abort
 
 # data type of CiA 301 -> name, format

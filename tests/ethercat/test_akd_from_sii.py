@@ -11,7 +11,7 @@ from wired import O, P, S, Wired
 
 from servogym.drive.ethercat import sii
 from servogym.drive.ethercat.mailbox import Kind
-from servogym.drive.wire.ethercat_import import import_sii
+from servogym.drive.imports.ethercat import import_sii
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from servogym.drive.ethercat.description import describe
 from servogym.drive.ethercat.master import EtherCatMaster
 from servogym.drive.ethercat.segment import Segment
 from servogym.drive.ethercat.slave import Slave
+from servogym.drive.imports.ethercat import CHIPS, import_esi, import_sii
 from servogym.drive.model.model import load
 from servogym.drive.objects.abort import Abort, SdoAbort
-from servogym.drive.wire.ethercat_import import CHIPS, import_esi, import_sii
 from servogym.envs import linear_axis
 from servogym.training import cli
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from wire import on_the_wire
 
+from servogym.drive.imports.ethercat import import_esi, import_sii
 from servogym.drive.model.model import load
-from servogym.drive.wire.ethercat_import import import_esi, import_sii
 from servogym.envs import linear_axis
 
 DISTANCE = 0.1  # m

@@ -571,7 +571,7 @@ def with_sync0(clock, when, period=10, cycles=100):
 
 def imported(folder):
     """A model made from the slave; -> what became of it."""
-    from servogym.drive.wire.ethercat_import import import_slave
+    from servogym.drive.wire.slave_import import import_slave
 
     for _ in range(SCANS):
         try:

@@ -30,13 +30,13 @@ from typing import NamedTuple
 import can
 
 from servogym.drive.canopen import eds
-from servogym.drive.canopen.eds_import import _Import, import_eds
 from servogym.drive.canopen.sheet import read_sheet
 from servogym.drive.ethercat import esi, sii
 from servogym.drive.ethercat.decode import EtherCatDecoder
+from servogym.drive.imports.eds import import_eds, model_of
+from servogym.drive.imports.ethercat import import_esi, import_sii, unpacked
 from servogym.drive.model.model import DriveModel, load
 from servogym.drive.wire import log, pcapng
-from servogym.drive.wire.ethercat_import import import_esi, import_sii
 from servogym.drive.wire.recording import Source
 
 LONGEST = 1  # s of processor time
@@ -106,7 +106,7 @@ def written_otherwise(data: bytes, chance: random.Random) -> bytes:
     if lines and chance.random() < 0.3:  # a section, an element, some frames
         at, to = chance.randrange(len(lines)), chance.randrange(len(lines) + 1)
         lines[to:to] = lines[at : at + chance.choice((1, 7, 7, 60))]
-    ends = chance.choice((("\n",), ("\r\n",), ("\r",), ("\n", "\r\n"), ("\n", "\r\n", "\r", "\n\n")))
+    ends = chance.choice((("\n",), ("\r\n",), ("\r",), ("\n", "\r\n"), ("\n", "\r\n", "\r", "")))
     text = "".join(line + chance.choice(ends) for line in lines)
     if chance.random() < 0.3:
         at = chance.randrange(len(text) + 1)
@@ -312,17 +312,20 @@ def text_log(suffix: str, source: bytes) -> bytes:
 
 def printed(source: bytes) -> bytes:
     """A log of candump as candump prints it."""
-    rows = [re.fullmatch(r"\((.*)\) (\w+) (\w+)#(\w*)", row) for row in source.decode().split("\n")]
+    rows = (re.fullmatch(r"\((.*)\) (\w+) (\w+)#(\w*)", row)
+            for row in source.decode().split("\n"))
     return "\n".join(f" ({row[1]})  {row[2]}  {row[3]}   [{len(row[4]) // 2}]  "
                      + " ".join(re.findall("..", row[4])) for row in rows if row).encode()
 
 
 def frames(chance: random.Random) -> bytes:
     """Some frames of a bus, as candump logs them."""
-    return "\n".join(
+    rows = (
         f"({n * 0.001:.6f}) can0 {chance.randrange(0x800):03X}#"
-        f"{chance.randbytes(chance.randrange(9)).hex().upper()}" for n in range(chance.randint(1, 30))
-    ).encode() + b"\n"
+        f"{chance.randbytes(chance.randrange(9)).hex().upper()}\n"
+        for n in range(chance.randint(1, 30))
+    )
+    return "".join(rows).encode()
 
 
 def small_pcapng(chance: random.Random) -> bytes:
@@ -372,7 +375,7 @@ class Format(NamedTuple):
 
 
 def _sheet(file: Path, folder: Path, whole: bool) -> object:
-    return import_eds(file, folder) if whole else _Import(read_sheet(file)).made()
+    return import_eds(file, folder) if whole else model_of(read_sheet(file))
 
 
 def _esi(file: Path, folder: Path, whole: bool) -> object:
@@ -386,9 +389,7 @@ def _esi(file: Path, folder: Path, whole: bool) -> object:
 def _sii(file: Path, folder: Path, whole: bool) -> object:
     if whole:
         return import_sii(file, folder)
-    from servogym.drive.wire.ethercat_import import _unpacked
-
-    return _unpacked(file.read_bytes(), file)
+    return unpacked(file.read_bytes(), file)
 
 
 def _log(file: Path, folder: Path, whole: bool) -> object:
@@ -451,13 +452,14 @@ FORMATS = {
     "candump": Format(".log", _golden, small_candump, _log, CAN_LINES),
     "printed": _text_log(".txt", printed, *CAN_LINES),
     "asc": _text_log(".asc", functools.partial(text_log, ".asc"), "base dec  timestamps relative",
-                     "base hex  timestamps absolute", "date Sam Jan 1 10:00:00 2022", "// version 9",
-                     "   0.5 1  181             Rx   d 8 01", "Begin Triggerblock", "  nan 1  x  Rx"),
+                     "base hex  timestamps absolute", "date Sam Jan 1 10:00:00 2022", "// 9",
+                     "   0.5 1  181             Rx   d 8 01", "Begin Triggerblock",
+                     "  nan 1  x  Rx"),
     "trc": _text_log(".trc", functools.partial(text_log, ".trc"), ";$FILEVERSION=1.1",
                      ";$FILEVERSION=9", ";$STARTTIME=nan", ";$COLUMNS=N,O,T,B,I,d,R,L,D", ";",
                      " 1) 1.0 1 Rx 0181 -  8  01", " 1) 1e400 DT 1 0181 Rx - 2 00 00"),
-    "csv": _text_log(".csv", functools.partial(text_log, ".csv"), "timestamp,arbitration_id", ",,,,",
-                     "1.0,0x181,0,0,0,9,!!!!", "nan,0x181,0,0,0,1,AA==", "1.0,-1,0,0,0,0,"),
+    "csv": _text_log(".csv", functools.partial(text_log, ".csv"), "timestamp,arbitration_id",
+                     ",,,,", "1.0,0x181,0,0,0,9,!!!!", "nan,0x181,0,0,0,1,AA==", "1.0,-1,0,0,0,0,"),
     "pcapng": Format(".pcapng", _own_captures, small_pcapng, _capture),
 }
 

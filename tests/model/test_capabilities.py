@@ -8,7 +8,7 @@ import pytest
 
 from servogym.drive import Drive
 from servogym.drive.canopen import eds
-from servogym.drive.canopen.eds_import import import_eds
+from servogym.drive.imports.eds import import_eds
 from servogym.drive.kernel.words import Mode
 from servogym.drive.model.model import load
 from servogym.drive.model.rows import DATA_TYPES
@@ -57,9 +57,10 @@ def test_an_object_of_the_list_can_have_any_type(tmp_path, data_type):
     sheet = tmp_path / "own.eds"
     eds.write("generic", sheet)
     text = sheet.read_text()
-    for section, number in (("[6502]", "0x0007"), ("[60E3sub0]", "0x0005"), ("[60E3sub1]", "0x0002")):
-        head, found, tail = text.partition(f"{section}\n")
-        assert found and f"DataType={number}" in tail.partition("[")[0]
+    for section, number in (("6502", "0x0007"), ("60E3sub0", "0x0005"), ("60E3sub1", "0x0002")):
+        head, found, tail = text.partition(f"[{section}]\n")
+        assert found
+        assert f"DataType={number}" in tail.partition("[")[0]
         tail = tail.replace(f"DataType={number}", f"DataType={DATA_TYPES[data_type]}", 1)
         tail = re.sub("DefaultValue=.*", "DefaultValue=-2147483648", tail, count=1)
         text = f"{head}{found}{tail}"

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from servogym.drive.canopen.eds_import import import_eds
 from servogym.drive.drive import Drive
 from servogym.drive.ethercat.esi_reader import read_esi
+from servogym.drive.imports.eds import import_eds
+from servogym.drive.imports.ethercat import import_sii
 from servogym.drive.model.files import content
 from servogym.drive.model.model import load
 from servogym.drive.wire import pcapng
-from servogym.drive.wire.ethercat_import import import_sii
 from servogym.drive.wire.log import messages
 from servogym.drive.wire.recording import _columns
 from servogym.envs.course.exercise import load as load_lesson

@@ -104,7 +104,7 @@ def _limits(row) -> str:
 
 
 def _import(options: argparse.Namespace) -> int:
-    from ...drive.canopen.eds_import import import_eds
+    from ...drive.imports.eds import import_eds
 
     if options.from_eds is None or options.out is None or options.model is not None:
         raise ValueError("--from-eds FILE and -o FOLDER belong together, without a model")
@@ -130,7 +130,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _of_ethercat(options: argparse.Namespace) -> int:
-    from ...drive.wire.ethercat_import import import_esi, import_sii, import_slave
+    from ...drive.imports.ethercat import import_esi, import_sii
 
     if options.out is None or options.model is not None:
         raise ValueError("--from-esi, --from-sii or --from-slave and -o FOLDER belong together, "
@@ -140,6 +140,8 @@ def _of_ethercat(options: argparse.Namespace) -> int:
     elif options.from_sii:
         made = import_sii(options.from_sii, options.out, chip=options.chip)
     else:
+        from ...drive.wire.slave_import import import_slave
+
         made = import_slave(options.from_slave, options.out, position=options.position)
     objects = f"{made.objects} objects" if made.objects else "the objects of generic"
     print(

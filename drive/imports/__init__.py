@@ -1,0 +1,1 @@
+"""Makes drive models from other manufacturers' files and from connected slaves."""
