@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from ..canopen.sheet import Entry, number
-from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS, parameter_place
+from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS
 from ..kernel.record import VENDOR_BYTES
 from ..model.made import PdoRow
 from ..model.pdo import mapping_entry
@@ -75,7 +75,7 @@ def _pdo(objects: ObjectRows, direction: str, index: int, n: int) -> list[PdoRow
     for subindex in range(ENTRIES + 1):
         row = objects.rows.get((mapping, subindex))
         if row is not None:
-            row["default"] = str(given.get(subindex, 0))
+            objects.set_default(row, given.get(subindex, 0))
     return [
         pdo._replace(position=position, index=f"0x{i:04X}", subindex=f"0x{sub:02X}", bits=bits)
         for position, (i, sub, bits) in enumerate(entries, 1)
@@ -107,7 +107,7 @@ def _mapped(objects: ObjectRows, direction: str, index: int, words: list[int]) -
         at = written.line if written else 0
         if direction == "rx" and DUMMY_BITS.get(target) == bits and subindex == 0:
             own = bits
-        elif row is None or not FORMATS[row["data_type"]] or row["access"] == "const":
+        elif row is None or not objects.is_process_data((target, subindex)):
             objects.sheet.tell(at, where, f"{word:08X}h", "left out", "no such object is mappable")
             continue
         else:
@@ -132,8 +132,7 @@ def limit_mappable(objects: ObjectRows, pdos: Iterable[PdoRow]) -> None:
     room, lost = VENDOR_BYTES, 0
     for address in sorted(objects.rows, key=lambda address: (address not in used, address)):
         row = objects.rows[address]
-        own = row["pdo"] and not row["field"] and parameter_place(*address) is None
-        if not own or row["access"] == "const":
+        if not row["pdo"] or row["field"] or not objects.is_process_data(address):
             continue
         size = 2 * SIZES[FORMATS[row["data_type"]]]  # its alignment can take as much again
         if size > room:

@@ -19,7 +19,7 @@ from ..ethercat.description import (
 )
 from ..ethercat.description import Entry as PdoEntry
 from ..ethercat.esi_reader import UNSIGNED, EsiObject
-from ..kernel.process_data import ENTRIES
+from ..kernel.process_data import ENTRIES, parameter_place
 from ..model.drive_toml import BUSES
 from ..model.ethercat import PROTOCOLS
 from ..model.made import PdoRow, line
@@ -115,6 +115,7 @@ class EthercatPdos:
         self.assigned: dict[int, list[int]] = {}  # PDOs by sync manager
         self.mappable: list[int] = []  # PDOs of each direction whose content can be changed
         self.padding = 0  # objects that do nothing
+        self._as_generic: set[tuple[int, int]] = set()  # objects mapped with the type of `generic`
 
     def make(self) -> list[PdoRow]:
         """Make the rows."""
@@ -217,22 +218,27 @@ class EthercatPdos:
     def _can_map(self, direction: str, entry: PdoEntry) -> bool:
         """Whether an object can be mapped in this length; a missing object is created."""
         address = entry.index, entry.subindex
-        rows = self.objects.rows
-        if address not in rows and not self.whole:
-            known = self.objects.base.objects.get(address)
-            if known is not None and 8 * known.size == entry.bits:
+        rows, own = self.objects.rows, "rw" if direction == "rx" else "ro"
+        known = None if self.whole else self.objects.base.objects.get(address)
+        if parameter_place(*address) is not None:
+            return False  # communication parameters
+        if known is not None and address not in rows:
+            if 8 * known.size == entry.bits:
+                self._as_generic.add(address)
                 if direction not in known.pdo:
                     rows[address] = {"index": f"0x{entry.index:04X}",
                                      "pdo": "rxtx" if known.pdo else direction,
                                      "subindex": f"0x{entry.subindex:02X}"}
                 return True
+            if address in self._as_generic:
+                return False
         if address not in rows:
             if entry.bits not in UNSIGNED:
                 return False
             self.objects.take(
                 Entry(*address, entry.name or "mapped", "VAR",
                       entry.data_type or UNSIGNED[entry.bits],
-                      "rw" if direction == "rx" else "ro", True, "", "", "", 0)
+                      own if known is None else known.access, True, "", "", "", 0)
             )
         row = rows.get(address)
         if row is None or row.get("access") == "const":

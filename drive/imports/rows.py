@@ -151,12 +151,13 @@ class ObjectRows:
             elif known.access == "ro" and access in ("rw", "wo"):
                 self.sheet.tell(entry.line, entry.where, entry.access, "ro", "the drive makes it")
                 access, pdo = "ro", "tx"
+        place = parameter_place(entry.index, entry.subindex)
         name = known.name if known else self._name(entry)
         self._names.add(name)
         row: dict[str, Any] = {
             "index": f"0x{entry.index:04X}", "subindex": f"0x{entry.subindex:02X}", "name": name,
             "object_type": entry.kind, "data_type": data_type, "access": access,
-            "pdo": pdo if entry.mappable and code else "", "section": SOURCE,
+            "pdo": pdo if entry.mappable and code and place is None else "", "section": SOURCE,
         }
         for column in ("unit", "storable", "field", "when", "hook", "note"):
             row[column] = own.get(column, "")
@@ -315,10 +316,20 @@ class ObjectRows:
         row, entry = self.rows[index, subindex], self.sheet.entries[index, subindex]
         value = held(value, row["data_type"])
         self.sheet.tell(entry.line, entry.where, f"default {row['default']}", str(value), why)
+        self.set_default(row, value)
+
+    def set_default(self, row: dict[str, Any], value: int) -> None:
+        """Put a default into a row; a limit that excludes it goes."""
         row["default"] = str(value)
         for column, beyond in (("min", -1), ("max", 1)):
             if isinstance(bound := row.get(column), int) and beyond * (value - bound) > 0:
                 row[column] = ""
+
+    def is_process_data(self, address: tuple[int, int]) -> bool:
+        """Whether a PDO can map an object: a number that can change, no parameter of a PDO."""
+        row = self.rows[address]
+        number = FORMATS[row["data_type"]] and row["access"] != "const"
+        return bool(number) and parameter_place(*address) is None
 
 
 def _span(data_type: str) -> tuple[int, int]:

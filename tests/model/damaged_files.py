@@ -500,6 +500,8 @@ def _said(error: Exception, file: Path) -> str:
         return "more than a line"
     if not said.startswith(str(file)):
         return "no file"
+    if re.search(r"\w\.(csv|toml)\b", said.removeprefix(str(file))):
+        return "a file that is none of the user's"
     return "" if PLACE.search(said) else "no place"
 
 
