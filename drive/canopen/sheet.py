@@ -162,7 +162,8 @@ def _sections(text: str, sheet: Sheet) -> list[_Section]:
             if not closed:
                 sheet.tell(line, f"[{name}]", row[:40], f"[{name}]", "the ] is missing")
             if name in found:
-                sheet.tell(line, f"[{name}]", "a second time", "both together", "one is the rule")
+                sheet.tell(line, f"[{name}]", "a second time", "both together",
+                           "a section occurs once")
             current = found.setdefault(name, _Section(name, line))
             continue
         key, equals, value = row.partition("=")
@@ -192,7 +193,7 @@ def _listed(sheet: Sheet, objects: dict[int, dict[int | None, _Section]]) -> Non
         sheet.tell(0, f"{index:04X}h", "listed", "left out", "it has no section")
     for index in sorted(objects.keys() - listed) if listed else ():
         line = min(section.line for section in objects[index].values())
-        sheet.tell(line, f"{index:04X}h", "not listed", "taken", "it has a section")
+        sheet.tell(line, f"{index:04X}h", "not listed", "used", "it has a section")
 
 
 def _object(sheet: Sheet, index: int, parts: dict[int | None, _Section], extras: dict) -> None:
@@ -223,11 +224,11 @@ def _object(sheet: Sheet, index: int, parts: dict[int | None, _Section], extras:
         _entry(sheet, index, 0, head, "VAR", DOMAIN_TYPE if kind == DOMAIN else None, "")
         return
     if not subs:
-        sheet.tell(head.line, f"{index:04X}h", "no sub-index", "left out", "nothing is in it")
+        sheet.tell(head.line, f"{index:04X}h", "no sub-index", "left out", "it is empty")
         return
     if 0 not in subs:
         sheet.tell(head.line, f"{index:04X}h:00h", "missing", str(max(subs)),
-                   "the number of entries is there in every array and record")
+                   "every array and record has its number of entries")
         subs[0] = _Section("", head.line, {
             "parametername": "Number of entries", "datatype": "5", "accesstype": "const",
             "defaultvalue": str(max(subs)),
@@ -268,7 +269,7 @@ def _entry(
             sheet.tell(section.line, where, "no data type", "left out", "its length is not known")
             return
         data_type = UNSIGNED8 if kind != "VAR" else UNSIGNED32
-        sheet.tell(section.line, where, "no data type", f"{data_type:02X}h", "what is usual there")
+        sheet.tell(section.line, where, "no data type", f"{data_type:02X}h", "the usual type there")
     access = section.get("accesstype").lower()
     if access not in ("ro", "wo", "rw", "rww", "rwr", "const"):
         taken = "ro" if sub == 0 and kind != "VAR" else "rw"

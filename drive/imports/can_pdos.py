@@ -49,8 +49,8 @@ def _add_mapping(objects: ObjectRows, direction: str, index: int) -> None:
     mapping = index + _MAPPING
     if (index, 1) not in objects.rows or (mapping, 0) in objects.rows:
         return
-    objects.sheet.tell(0, f"{mapping:04X}h", f"nothing, and {index:04X}h is there", "empty",
-                       "a master reads both of a PDO")
+    objects.sheet.tell(0, f"{mapping:04X}h", f"missing, while {index:04X}h is there", "empty",
+                       "a master reads both objects of a PDO")
     for subindex in range(_CONFIGURABLE + 1):
         objects.take(Entry(mapping, subindex, f"{direction} mapping", "RECORD",
                            0x07 if subindex else 0x05, "rw", False, "0", "", "", 0))
@@ -141,5 +141,5 @@ def limit_mappable(objects: ObjectRows, pdos: Iterable[PdoRow]) -> None:
         else:
             room -= size
     if lost:
-        why = f"a PDO reaches {VENDOR_BYTES} bytes of a maker's objects"
+        why = f"PDOs reach {VENDOR_BYTES} bytes of manufacturer-specific objects"
         objects.sheet.tell(0, "PDOs", f"{lost} more objects can be mapped", "they cannot", why)

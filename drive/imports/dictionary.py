@@ -61,19 +61,18 @@ def fill(
     )
     velocity = " Velocities: in 1/min, as 60A9h says." if in_rpm else ""
     made.notes = [
-        "An EDS tells objects, types, ranges, defaults and PDOs. It does not tell what the "
-        "drive does: behaviour of the objects that CiA 402 knows is `inferred`, that of the "
-        "model `generic`.",
-        "Cycle times, motor, faults: `inferred`, those of `generic`. Correct them in "
+        "An EDS or ESI file lists objects, types, ranges, defaults and PDOs. It does not describe "
+        "behaviour: objects that CiA 402 defines behave as in the model `generic` (`inferred`).",
+        "Cycle times, motor and faults: `inferred`, those of `generic`. Correct them in "
         "`drive.toml`.",
         f"Modes of operation: {modes_from}. Homing methods: {methods_from}.",
-        f"Units: {units}.{velocity} Gains, what 1010h stores of the drive's own objects: "
+        f"Units: {units}.{velocity} Gains, and which manufacturer-specific objects 1010h stores: "
         "`inferred`.",
     ]
     if sheet.node_id is not None:
         made.notes.append(
-            f"A DCF of node {sheet.node_id}: defaults are its values; serve it with `--node-id "
-            f"{sheet.node_id}`."
+            f"The file is the DCF of node {sheet.node_id}: defaults are its values. Serve it with "
+            f"`--node-id {sheet.node_id}`."
         )
     made.repairs.sort(key=lambda repair: repair.line)
 

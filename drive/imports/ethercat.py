@@ -89,7 +89,7 @@ def import_esi(
     """
     check_place(folder)
     file = read_esi(path, device)
-    notes = [f"Slave controller: `inferred`, {chip}; the file does not say. --chip names another."]
+    notes = [_chip_note(chip, "file")]
     return import_source(
         Source(file.device, path.name, "servogym drives --from-esi", CHIPS[chip], notes,
                file.vendor, file.objects, file.repairs), folder, path,
@@ -105,12 +105,17 @@ def import_sii(path: Path, folder: Path, *, chip: str = "et1100") -> Imported:
         raise ValueError(f"{path}: {error.strerror or error}") from None
     device, word = unpacked(image, path), sii.unended(image)
     repairs = [Repair(0, f"EEPROM, word {word:04X}h", "the image ends without FFFFh", "no more",
-                      "a master finds no end of the categories")] if word else []
-    notes = [f"Slave controller: `inferred`, {chip}; the image does not say. --chip names another."]
+                      "a master would not find the end of the categories")] if word else []
+    notes = [_chip_note(chip, "image")]
     return import_source(
         Source(device, path.name, "servogym drives --from-sii", CHIPS[chip], notes,
                f"vendor {device.vendor_id:08X}h", repairs=repairs, image=image), folder, path,
     )
+
+
+def _chip_note(chip: str, source: str) -> str:
+    return (f"Slave controller: `inferred`, {chip}; the {source} does not name one. --chip selects "
+            "another.")
 
 
 def unpacked(image: bytes, path: Path) -> Description:
@@ -171,13 +176,13 @@ def _fill_from_generic(made: ModelFolder, objects: ObjectRows, pdos: EthercatPdo
     entries = objects.sheet.entries
     if entries:
         made.tell(0, "dictionary", f"{len(entries)} objects without 6040h and 6041h",
-                  "those of generic", "no drive works so")
+                  "those of generic", "no drive works without them")
         entries.clear()
     pdos.make()
     made.objects = objects.sorted
     made.unknown, made.left_out = objects.unknown, objects.left_out
-    made.notes = ["Objects: `inferred`, those of the model `generic`, and what PDOs map "
-                  "beside them: there is no dictionary. A slave with SDO information tells "
+    made.notes = ["Objects: `inferred`, those of the model `generic`, and any others that PDOs "
+                  "map, since there is no dictionary. A slave with SDO information provides "
                   "its own: --from-slave."]
 
 

@@ -27,7 +27,7 @@ from ..model.model import load
 from ..model.rows import FORMATS, SIZES
 from .rows import NEEDED, ObjectRows
 
-Mapped = tuple[int, int, int]  # index, sub-index, bits
+Mapped = tuple[int, int, int]  # index (0 of a gap), sub-index, bits
 SOURCE = "EtherCAT"  # of a row, as its section
 _LONGEST = BUSES["ethercat"]  # bits of a PDO
 _AREAS = {"rx": range(0x1600, 0x1A00), "tx": range(0x1A00, 0x1C00)}
@@ -58,7 +58,7 @@ def with_pdos(device: Description, objects: Sequence[EsiObject]) -> tuple[Descri
         rpdos, tpdos = _possible(usual.rpdos, values), _possible(usual.tpdos, values)
         whose = "`inferred`, those of `generic`"
     return (replace(device, rpdos=rpdos, tpdos=tpdos),
-            f"PDOs: {whose}; its description lists none.")
+            f"PDOs: {whose}; the description lists none.")
 
 
 def _listed(
@@ -155,7 +155,7 @@ class EthercatPdos:
         """Convert entries for the model; None if the PDO is left out, which is reported."""
         where = f"{pdo.index:04X}h"
         if pdo.index not in _AREAS[direction]:
-            self._repair(where, "a PDO", "left out", "no PDO of this direction lies there")
+            self._repair(where, "a PDO", "left out", "PDOs of this direction have other indices")
             return None
         entries: list[Mapped] = []
         loose = 0  # bits that no object of ours carries, before the next that one does
@@ -163,7 +163,7 @@ class EthercatPdos:
         def fill() -> None:
             nonlocal loose
             if loose:
-                entries.extend(self._padded(direction, -(-loose // 8)))
+                entries.extend(_gaps(-(-loose // 8)))
                 self._repair(where, f"{loose} bits: gaps or parts of bytes", "objects that do "
                              "nothing", "PDOs are whole objects here")
             loose = 0
@@ -177,14 +177,14 @@ class EthercatPdos:
                 loose += entry.bits
         fill()
         if len(entries) > ENTRIES:
-            self._shorten(direction, where, entries)
+            self._shorten(where, entries)
         if len(entries) > ENTRIES or sum(bits for *_, bits in entries) > _LONGEST:
             self._repair(where, f"{len(entries)} entries", "left out",
                          f"at most {ENTRIES} entries and {_LONGEST} bits here")
             return None
-        return entries
+        return [entry if entry[0] else self._filler(direction, entry[2]) for entry in entries]
 
-    def _shorten(self, direction: str, where: str, entries: list[Mapped]) -> None:
+    def _shorten(self, where: str, entries: list[Mapped]) -> None:
         """Limit the entries of a PDO: adjacent manufacturer-specific objects become one gap."""
         own = [entry[:2] not in self.objects.base.objects for entry in entries]
         at = len(entries)
@@ -194,26 +194,21 @@ class EthercatPdos:
                 at -= 1
             if end - at > 1:
                 bits = sum(bits for *_, bits in entries[at:end])
-                names = ", ".join(f"{i:04X}h:{s:02X}h" for i, s, _ in entries[at:end])
-                entries[at:end] = self._padded(direction, bits // 8)
+                names = ", ".join(f"{i:04X}h:{s:02X}h" for i, s, _ in entries[at:end] if i)
+                entries[at:end] = _gaps(bits // 8)
                 self._repair(where, names, "objects that do nothing",
                              f"at most {ENTRIES} entries here")
             at -= bool(at)
 
-    def _padded(self, direction: str, size: int) -> list[Mapped]:
-        """Objects that do nothing, with as many bytes."""
-        entries = []
-        while size:
-            part = next(part for part in (8, 4, 2, 1) if part <= size)
-            size -= part
-            self.padding += 1
-            index, subindex = _PADDING + self.padding // 255, self.padding % 255 + 1
-            self.objects.take(
-                Entry(index, subindex, f"padding {self.padding}", "RECORD", UNSIGNED[8 * part],
-                      "rw" if direction == "rx" else "ro", True, "", "", "", 0)
-            )
-            entries.append((index, subindex, 8 * part))
-        return entries
+    def _filler(self, direction: str, bits: int) -> Mapped:
+        """An object that does nothing, for a gap."""
+        self.padding += 1
+        index, subindex = _PADDING + self.padding // 255, self.padding % 255 + 1
+        self.objects.take(
+            Entry(index, subindex, f"padding {self.padding}", "RECORD", UNSIGNED[bits],
+                  "rw" if direction == "rx" else "ro", True, "", "", "", 0)
+        )
+        return index, subindex, bits
 
     def _can_map(self, direction: str, entry: PdoEntry) -> bool:
         """Whether an object can be mapped in this length; a missing object is created."""
@@ -259,14 +254,22 @@ class EthercatPdos:
         where = f"{assignment(manager):04X}h"
         if not found and order and wanted:
             self._repair(where, "PDOs that were left out", f"{order[0].index:04X}h",
-                         "the first is left")
+                         "it is the first that remains")
             return [order[0].index]
         apart = {pdo.index: pdo.excludes for pdo in order}
         if wrong := [index for index in found if {*apart[index]} & {*found}]:
             self._repair(where, ", ".join(f"{index:04X}h" for index in found), f"{found[0]:04X}h",
-                         f"{wrong[0]:04X}h excludes others of them")
+                         f"{wrong[0]:04X}h excludes the others")
             return found[:1]
         return found
+
+
+def _gaps(size: int) -> Iterator[Mapped]:
+    """Gaps of so many bytes together, each as long as an object can be."""
+    while size:
+        part = next(part for part in (8, 4, 2, 1) if part <= size)
+        size -= part
+        yield 0, 0, 8 * part
 
 
 def _rows(direction: str, order: Sequence[tuple[Pdo, list[Mapped]]]) -> Iterator[PdoRow]:

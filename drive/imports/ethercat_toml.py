@@ -60,7 +60,7 @@ class EthercatToml:
         start, length = self._buffers(managers, mailbox)
         protocols = [p for n, p in enumerate(PROTOCOLS) if device.protocols >> n & 1]
         if "CoE" not in protocols:
-            self._repair("Mailbox", "no CoE", "CoE", "the model has no other way to its objects")
+            self._repair("Mailbox", "no CoE", "CoE", "a model has no other access to its objects")
             protocols.append("CoE")
         size = self._eeprom(least)
         control = {kind: managers[kind].control if kind in managers else usual
@@ -120,14 +120,14 @@ class EthercatToml:
         whole = line(text)
         kept = whole.encode("latin-1", "ignore").decode("latin-1").strip() or otherwise
         if whole and kept != whole:
-            self._repair(where, whole, kept, "the EEPROM carries no other letters")
+            self._repair(where, whole, kept, "an EEPROM holds no other characters")
         return json.dumps(kept)
 
     def _image(self, image: bytes, size: int) -> list[str]:
         """The manufacturer's EEPROM image, unless something in it had to be repaired."""
         if not image or len(image) > size or self.repairs:
             return []
-        return ["# the maker's; without the next line one is made from this folder",
+        return ["# the manufacturer's; without the next line, the image is made from this folder",
                 f'image = "{base64.b64encode(image).decode()}"']
 
     def _mailboxes(
@@ -144,7 +144,7 @@ class EthercatToml:
             return found
         self._repair(name, f"{out:04X}h {out_length}, {into:04X}h {in_length}",
                      f"{usual[0]:04X}h {usual[1]}, {usual[2]:04X}h {usual[3]}",
-                     "it lies in no memory, or is too short for SDO")
+                     "it lies outside the memory, or is too short for SDO")
         return usual[0], usual[1], usual[2], usual[3]
 
     def _buffers(
@@ -170,7 +170,7 @@ class EthercatToml:
                 raise ValueError(f"no place for {need} bytes of process data beside the mailboxes")
             self._repair("Sm 2, Sm 3", ", ".join(f"{s:04X}h" for s in starts),
                          ", ".join(f"{s:04X}h" for s in pair),
-                         f"{need} bytes do not lie there")
+                         f"{need} bytes do not fit there")
             starts, length = [*pair], room(pair)
         return (starts[0], starts[1]), min(length, _LONGEST_BUFFER)
 
@@ -188,5 +188,5 @@ class EthercatToml:
             taken = max(size, least, min(-(-used // 1024) * 1024, ENOUGH))
         if taken != device.size:
             self._repair("Eeprom", f"{device.size} bytes", f"{taken}", "the image needs them, or "
-                         "there is no such size here")
+                         "an EEPROM cannot have this size here")
         return taken

@@ -99,7 +99,7 @@ class ObjectRows:
                 pass  # the same number in more or fewer bytes
             elif known.index in NEEDED or known.name in ("modes_of_operation", "target_position"):
                 self.sheet.tell(entry.line, entry.where, data_type, known.data_type,
-                                "the profile has it so, and nothing works without it")
+                                "the profile defines this type, and nothing works without it")
                 data_type = known.data_type
             else:
                 self.sheet.tell(entry.line, entry.where, data_type, "it keeps what is written",
@@ -123,7 +123,7 @@ class ObjectRows:
             mapping = bool(entry.index & 0x200)
             if mapping and entry.subindex > ENTRIES:
                 self.sheet.tell(entry.line, entry.where, "a mapping entry", "left out",
-                                f"a PDO has {ENTRIES} at most here")
+                                f"a PDO has at most {ENTRIES} entries here")
                 return None
             usual = ("UNSIGNED32" if entry.subindex else "UNSIGNED8") if mapping else (
                 _PDO_TYPES.get(entry.subindex, "UNSIGNED8" if entry.subindex == 0 else "")
@@ -131,7 +131,7 @@ class ObjectRows:
             found = _TYPES.get(entry.data_type, "")
             if usual and found != usual:
                 self.sheet.tell(entry.line, entry.where, found or f"{entry.data_type:02X}h", usual,
-                                "CiA 301 says so for PDOs")
+                                "CiA 301 defines this type for PDOs")
             return usual or _TYPES.get(entry.data_type)
         data_type = _TYPES.get(entry.data_type)
         if data_type is None:
@@ -149,7 +149,8 @@ class ObjectRows:
             if known.access == "const" and (own["field"] or access == "ro"):
                 access, pdo = "const", ""
             elif known.access == "ro" and access in ("rw", "wo"):
-                self.sheet.tell(entry.line, entry.where, entry.access, "ro", "the drive makes it")
+                self.sheet.tell(entry.line, entry.where, entry.access, "ro",
+                                "the drive computes it")
                 access, pdo = "ro", "tx"
         place = parameter_place(entry.index, entry.subindex)
         name = known.name if known else self._name(entry)
@@ -175,7 +176,7 @@ class ObjectRows:
             text = line(entry.default, _LONGEST_TEXT)
             if not text.isascii():
                 self.sheet.tell(entry.line, entry.where, text, "its ASCII characters",
-                                "a VISIBLE_STRING has no others")
+                                "a VISIBLE_STRING holds no others")
             return text.encode("ascii", "ignore").decode()
         try:
             return str(number(entry.default)[0] if entry.default else 0)
@@ -205,7 +206,7 @@ class ObjectRows:
         high, _ = self._number(entry, entry.high, data_type, "high limit", span)
         if low is not None and high is not None and (low > high or low == high == 0):
             self.sheet.tell(entry.line, entry.where, f"limits {low}..{high}", "none",
-                            "no value lies in them")
+                            "no value lies within them")
             low = high = None
         low = lowest if low is None else low
         high = highest if high is None else high
@@ -215,11 +216,11 @@ class ObjectRows:
             per_node = known.per_node if known is not None else False
         elif per_node and default + LAST_NODE > highest:
             self.sheet.tell(entry.line, entry.where, f"{default} and the node-id", str(default),
-                            f"an {data_type} does not hold the sum")
+                            f"an {data_type} cannot hold the sum")
             per_node, low, high = False, min(low, default), max(high, default)
         elif not per_node and not low <= default <= high:
             self.sheet.tell(entry.line, entry.where, f"default {default}, limits {low}..{high}",
-                            "limits that have it", "a drive has its own default")
+                            "limits that include it", "a drive starts with its default")
             low, high = min(low, default), max(high, default)
         allowed = ""
         if known is not None and not per_node and held(default, known.data_type) == default:
@@ -245,7 +246,7 @@ class ObjectRows:
         if not possible:
             factory = min(max(int(known.default), reach[0]), reach[1])
             self.sheet.tell(entry.line, entry.where, f"default {default}", str(factory),
-                            f"{known.name} of the profile cannot be that")
+                            f"{known.name} of the profile does not have this value")
             low, high, default = min(low, factory), max(high, factory), factory
         if known.allowed is not None:
             return default, low, high, own["min"]
@@ -274,7 +275,7 @@ class ObjectRows:
         if lowest <= value <= highest:
             taken = min(max(value, span[0]), span[1])
             self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
-                            f"the drive holds {span[0]}..{span[1]}")
+                            f"the drive can hold {span[0]}..{span[1]}")
             return taken, per_node
         bits = 8 * SIZES[FORMATS[data_type]]
         if lowest < 0 <= value < 1 << bits:  # 65535 of an INTEGER16 is -1
@@ -288,7 +289,7 @@ class ObjectRows:
         else:
             taken = min(max(value, span[0]), span[1])
         self.sheet.tell(entry.line, entry.where, f"{what} {text}", str(taken),
-                        f"an {data_type} has {lowest}..{highest}")
+                        f"an {data_type} can hold {lowest}..{highest}")
         return taken, per_node
 
     def _name(self, entry: Entry) -> str:

@@ -45,7 +45,8 @@ def fit_factors(objects: ObjectRows, fixed: dict[str, Any]) -> bool:
     fraction *= Fraction(feed, per or 1)
     too_long = max(fraction.numerator, fraction.denominator) > FRACTION_LIMIT
     if too_long and (FEED, 1) in objects.rows:
-        objects.replace_default(FEED, 1, increments, "with the others it makes no exact fraction")
+        why = "the factors together would be no exact fraction"
+        objects.replace_default(FEED, 1, increments, why)
     return in_rpm
 
 
@@ -81,5 +82,5 @@ def fit_period(objects: ObjectRows) -> None:
         usual = int(objects.base.objects[PERIOD, subindex].default)
         if (value, index)[subindex - 1] != usual:
             objects.replace_default(
-                PERIOD, subindex, usual, f"nobody sends set-points every {value}e{index} s"
+                PERIOD, subindex, usual, f"no master sends set-points every {value}e{index} s"
             )

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from .rows import OBJECT_COLUMNS
 
-HEADING = "| line | object | the file says | taken | why |\n|---|---|---|---|---|\n"
+HEADING = "| line | object | the file says | used | reason |\n|---|---|---|---|---|\n"
 
 
 class PdoRow(NamedTuple):
@@ -48,7 +48,7 @@ class Repair(NamedTuple):
 
     def __str__(self) -> str:
         at = f"line {self.line}, " if self.line else ""
-        return f"{at}{self.where}: {self.says}; taken: {self.taken} ({self.why})"
+        return f"{at}{self.where}: {self.says}; used: {self.taken} ({self.why})"
 
 
 @dataclass
@@ -80,7 +80,7 @@ def check_place(folder: Path) -> None:
         ValueError: it is not empty, or its parent folder does not exist.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder} is there already: choose a folder that is new or empty")
+        raise ValueError(f"{folder} exists already: choose a folder that is new or empty")
     if not folder.parent.is_dir():
         raise ValueError(f"{folder}: there is no folder {folder.parent}; make it first")
 
@@ -161,11 +161,11 @@ Made from `{line(made.source)}` by `{made.command}`.
 
 {listed(made.notes)}
 
-## Repairs: what the file says and could not be taken as it stands
+## Repairs: statements of the file that could not be used as they stand
 
 {HEADING + repairs if repairs else "- none"}
 
-## Unknown: objects that keep what is written and do nothing
+## Unknown: objects that store what is written to them and do nothing else
 
 {listed(made.unknown)}
 

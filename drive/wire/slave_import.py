@@ -34,9 +34,9 @@ def import_slave(interface: str, folder: Path, *, position: int = 0) -> Imported
     finally:
         master.close()
     notes = [
-        "Slave controller: registers 0000h-0008h, 0140h and 0502h as the slave shows them.",
+        "Slave controller: registers 0000h-0008h, 0140h and 0502h as read from the slave.",
         "Defaults are the values the slave had when it was asked." if found else
-        "Its dictionary does not tell itself (no SDO information).",
+        "The slave has no SDO information, so its dictionary is unknown.",
     ]
     return import_source(
         Source(device, f"slave {position} on {interface}", "servogym drives --from-slave",

@@ -122,7 +122,7 @@ def test_names_in_an_eds_are_text_and_no_paths(tmp_path):
     [
         (["--from-eds", "nowhere.eds", "-o", "new"], "there is no such file"),
         (["--from-eds", "good.eds"], "belong together"),
-        (["--from-eds", "good.eds", "-o", "."], "is there already"),
+        (["--from-eds", "good.eds", "-o", "."], "exists already"),
         (["--from-eds", "good.eds", "-o", "no/where"], "there is no folder"),
     ],
 )

@@ -416,8 +416,8 @@ def test_strict_lists_each_departure_with_its_line(tmp_path, capsys):
     file.write_text(sheet(SMALL, "6076 . 7 rw 0 DefaultValue=0", "2002 . 5 rw 0 DefaultValue=300"))
     assert main(["drives", "--from-eds", str(file), "-o", str(folder), "--strict"]) == 2
     told = capsys.readouterr().err
-    assert re.search(r"line \d+, 6076h:00h: default 0; taken: 1270", told)
-    assert re.search(r"line \d+, 2002h:00h: default value 300; taken: 255", told)
+    assert re.search(r"line \d+, 6076h:00h: default 0; used: 1270", told)
+    assert re.search(r"line \d+, 2002h:00h: default value 300; used: 255", told)
     assert "2 departures from CiA 306" in told
     assert not folder.exists()
     file.write_text(sheet())
