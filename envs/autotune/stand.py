@@ -16,7 +16,7 @@ from ...drive.master import Master
 from ...drive.model.names import hint
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..engine.series import Series
+from ..engine.replay import Replay
 from ..masters.port import MachinePort
 from ..plants.gantry import PAIR
 from ..plants.loops import Gains, gains_of, in_units
@@ -61,12 +61,11 @@ class Stand:
                 f"drive {name!r} ({model.name}) has no velocity and position controller to "
                 "tune: choose a servo drive, see `servogym drives`"
             )
-        self.number = [*machine.drives].index(name)
         self.gear, self.unit = machine.joint(name)
         together = PAIR if name in PAIR and all(x in machine.drives for x in PAIR) else (name,)
         self.movers = [x for x in together if machine.drives[x].model.positions]
         self._heading = 1.0
-        self._series = Series(machine, self.movers, "torque_offset", SAMPLED)
+        self._replay = Replay(self.movers, ["torque_offset"], SAMPLED)
         self._kept = machine.snapshot()
         servos = [x for x, drive in machine.drives.items() if drive.model.positions]
         self.master = Master(MachinePort(machine), *servos)
@@ -114,12 +113,12 @@ class Stand:
     @property
     def place(self) -> float:
         """Position of the joint (m or rad)."""
-        return float(self.machine.data.qpos[self.machine.couplings[self.number].qpos])
+        return float(self.machine.data.qpos[self.machine.coupling(self.name).qpos])
 
     @property
     def room(self) -> tuple[float, float]:
         """Free way to the left and to the right (m or rad), to the limits of drive and joint."""
-        here, coupling = self.place, self.machine.couplings[self.number]
+        here, coupling = self.place, self.machine.coupling(self.name)
         low, high = self.machine.range(self.name)
         for first, last in zip(coupling.switch_from[:2], coupling.switch_to[:2], strict=True):
             if first <= last <= here:
@@ -192,7 +191,7 @@ class Stand:
         per_mille = float(self.drive.axis.rated_torque) * 1e-3
         signs = np.array([1, -1 if against else 1][: len(self.movers)])
         commanded = np.rint(offsets / per_mille).astype(int)
-        rows = self._series.run(commanded[:, None] * signs)
+        rows = self._replay.run([self.machine], commanded[:, None] * signs, delay=0)[0]
         samples = np.zeros((len(offsets), 6))
         for column, name in enumerate(SAMPLED[:LIMITED]):
             samples[:, column] = rows[name] @ signs / len(signs)

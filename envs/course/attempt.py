@@ -61,8 +61,7 @@ class Observer:
         self._bytes = np.frombuffer(slots[0].view, np.uint8)
         # the record's own attributes take a microsecond each, columns a tenth
         axes, self._index = np.asarray(self.drive.axes), self.drive.index
-        number = [*machine.drives].index(axis)
-        self._joint, self._scale = int(machine.couplings[number].qpos), scale
+        self._joint, self._scale = int(machine.coupling(axis).qpos), scale
         self._axes = [axes[name] for name in DISCRETE]
         self._words = [axes["od"][name] for name in WORDS]
         self._measured = [axes["od"][name] for name in MEASURED]

@@ -98,7 +98,7 @@ class Begin:
         """Apply the changes. Raises ValueError for anything that the machine cannot do."""
         if self.positions:
             machine.reset(positions=self.positions)
-        drive, number = machine.drives[axis], [*machine.drives].index(axis)
+        drive, number = machine.drives[axis], machine.number(axis)
         for name, value in self.write.items():
             drive.commission({name: value})
         for cause in self.inject:

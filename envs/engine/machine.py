@@ -265,7 +265,7 @@ class Machine:
 
     def joint(self, name: str) -> tuple[float, str]:
         """Return a drive's gear (rad of motor shaft per m or rad of joint), and "m" or "rad"."""
-        coupling = self.couplings[self._number(name)]
+        coupling = self.coupling(name)
         return float(coupling.gear), unit(self._model, self._model.dof_jntid[coupling.dof])
 
     def range(self, name: str) -> tuple[float, float]:
@@ -273,11 +273,16 @@ class Machine:
 
         Raises KeyError if there is no drive of that name.
         """
-        joint = self.mechanics[self._number(name)]
+        joint = self.mechanics[self.number(name)]
         return float(joint.low), float(joint.high)
 
-    def _number(self, name: str) -> int:
+    def number(self, name: str) -> int:
+        """Place of a drive in the arrays. Raises KeyError if there is no drive of that name."""
         return [*self.drives.values()].index(self.drives[name])
+
+    def coupling(self, name: str) -> Any:
+        """The COUPLING record of a drive. Raises KeyError if there is no drive of that name."""
+        return self.couplings[self.number(name)]
 
     def step(self, cycles: int = 1) -> None:
         """Run `cycles` position-controller cycles of the slowest drive; Ctrl-C ends it in between.
@@ -324,7 +329,7 @@ class Machine:
             ValueError: an unknown name, columns of different lengths.
         """
         name = next(iter(self.drives)) if drive is None else drive
-        self._number(name)
+        self.number(name)
         layout = Replay(name, [*rows], read)
         found = layout.run([self], rows_of(rows), arrives)[0]
         return {each: found[each] for each in read}
@@ -347,7 +352,7 @@ class Machine:
                 raise ValueError(
                     f"positions: there is no drive {name!r}: {hint(name, self.drives)}"
                 )
-            coupling = self.couplings[self._number(name)]
+            coupling = self.coupling(name)
             joint = self.model.dof_jntid[coupling.dof]
             low, high = self.range(name)
             if not (isinstance(position, Real) and low <= float(position) <= high):

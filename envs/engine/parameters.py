@@ -68,8 +68,7 @@ class Joint:
         name = next(iter(machine.drives)) if name is None else name
         self.machine, self.name = machine, name
         self.drive: Drive = machine.drives[name]
-        number = [*machine.drives.values()].index(self.drive)
-        self.number = number
+        number = self.number = machine.number(name)
         self.coupling: Any = machine.couplings[number]
         self.mechanics: Any = machine.mechanics[number]
         self.unit = machine.joint(name)[1]

@@ -3,10 +3,10 @@
 A row is a position cycle: values written before it, whether a process image arrives in it, and
 values read after it. Many machines can play the same rows in parallel, such as the candidates of a
 fit. The process images have a mapping of their own, which may contain any variable or field of a
-drive's record.
+drive's record; the PDO mapping of the drives does not change.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,15 @@ from ...drive.memory import address
 from . import loop
 from .world import PDOS, mapped
 
-KEPT = ("pdos", "latches", "latches_from", "latches_count")
+KEPT = ("pdos", "delay", "latches", "latches_from", "latches_count")  # of a WORLD, put back later
 
 
 class Replay:
     """Layout of rows for machines of one kind.
 
     Args:
-        drive: name of the drive; other drives of a machine are not changed.
+        drives: name of the drive, or several in the order of the machine, which then have a column
+            each; other drives of a machine are not changed.
         written: variables of the object dictionary, by field name.
         read: fields of the record, or ``od.`` followed by a variable.
 
@@ -31,70 +32,62 @@ class Replay:
         ValueError: a name that is not a field.
     """
 
-    def __init__(self, drive: str, written: Sequence[str], read: Sequence[str]):
-        self._drive = drive
-        for name in written:
-            if name not in (OD.names or ()) or OD[name].shape:
-                raise ValueError(f"written: there is no variable {name!r} in the record of a drive")
-        self.written = np.dtype([(name, OD[name]) for name in written])
-        start = int(AXIS.fields["od"][1])  # type: ignore[index]
-        places = [start + int(OD.fields[name][1]) for name in written]  # type: ignore[index]
-        self._rpdos = mapped(_widths(places, self.written))
-        fields, sources = [], []
-        for name in read:
-            table, at, short = AXIS, 0, name
-            if name.startswith("od."):
-                table, at, short = OD, start, name.removeprefix("od.")
-            if short not in (table.names or ()) or table[short].shape:
-                raise ValueError(f"read: there is no field {name!r} in the record of a drive")
-            fields.append((name, table[short]))
-            sources.append(at + int(table.fields[short][1]))  # type: ignore[index]
-        self.read = np.dtype(fields)
-        self._tpdos = mapped(_widths(sources, self.read))
+    def __init__(self, drives: str | Sequence[str], written: Sequence[str], read: Sequence[str]):
+        self._columns = () if isinstance(drives, str) else (len(drives),)
+        self._drives = [drives] if isinstance(drives, str) else [*drives]
+        self.written, self._rpdos = _image([f"od.{name}" for name in written], "written")
+        self.written.names = tuple(written)
+        self.read, self._tpdos = _image(read, "read")
 
     def run(
-        self, machines: Sequence[Any], rows: np.ndarray, arrives: np.ndarray | None = None
+        self, machines: Sequence[Any], rows: np.ndarray, arrives: np.ndarray | None = None, *,
+        delay: int | None = None,
     ) -> np.ndarray:
         """Play the rows on all machines, each from its present state.
 
         Args:
-            machines: machines with equal cycles that have the drive.
-            rows: of dtype `written`, shape ``(n,)``.
+            machines: machines with equal cycles that have the drives.
+            rows: of dtype `written`, or numbers where it has one field; shape ``(n,)``, with
+                several drives ``(n, drives)``.
             arrives: whether a process image arrives in a row, shape ``(n,)``; by default in every
                 row. A drive interpolates if its period 60C2h covers several rows.
+            delay: physics steps by which an image is late; by default those of each machine.
 
         Returns:
-            The values after each row, of dtype `read`, shape ``(len(machines), n)``.
+            The values after each row, of dtype `read`, shape ``(len(machines), n)``, with several
+            drives ``(len(machines), n, drives)``.
 
         Raises as `Machine.step` does; an interrupted machine needs a `restore`.
         """
-        count, n = len(machines), len(rows)
-        first = machines[0]
-        images = np.ascontiguousarray(rows, self.written).view(np.uint8).reshape(n, -1)
+        count, n, columns = len(machines), len(rows), len(self._drives)
+        images = np.ascontiguousarray(rows, self.written).reshape(n, columns)
         flags = np.ones(n, np.uint8) if arrives is None else np.ascontiguousarray(arrives, np.uint8)
-        found = np.zeros((count, n), self.read)
+        found = np.zeros((count * n, columns), self.read)
         worlds = np.repeat([int(m.addresses[0]) for m in machines], n)
         directories, kept = [], []
         for machine in machines:
             directory = np.zeros(len(machine.drives), PDOS)
-            at = [*machine.drives].index(self._drive)
-            directory[at] = address(self._rpdos), 1, address(self._tpdos), 1
+            for name in self._drives:
+                places = address(self._rpdos), 1, address(self._tpdos), 1
+                directory[machine.number(name)] = places
             world = machine.world
             kept.append({name: world[name].copy() for name in KEPT})
             world["pdos"], world["latches"] = address(directory), address(flags)
             world["latches_from"], world["latches_count"] = world["tick"], n
+            if delay is not None:
+                world["delay"] = delay
             directories.append(directory)
         try:
-            with first.turn:
+            with machines[0].turn:
                 loop.run(
-                    worlds, first.physics_steps, np.tile(images, (count, 1)),
-                    found.view(np.uint8).reshape(count * n, -1),
+                    worlds, machines[0].physics_steps, np.tile(_bytes(images), (count, 1)),
+                    _bytes(found),
                 )
         finally:
             for machine, values in zip(machines, kept, strict=True):
                 for name, value in values.items():
                     machine.world[name] = value
-        return found
+        return found.reshape(count, n, *self._columns)
 
 
 def rows_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -109,6 +102,19 @@ def rows_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return rows
 
 
-def _widths(places: Sequence[int], kinds: np.dtype) -> dict[int, int]:
-    """Size of each field by its offset."""
-    return {at: kinds[name].itemsize for at, name in zip(places, kinds.names or (), strict=True)}
+def _image(names: Iterable[str], what: str) -> tuple[np.dtype, np.ndarray]:
+    """The record of some fields of a drive's record, and a PDO that maps them."""
+    kinds, sizes = [], {}
+    for name in names:
+        table, short = (OD if name.startswith("od.") else AXIS), name.removeprefix("od.")
+        if short not in (table.names or ()) or table[short].shape:
+            raise ValueError(f"{what}: there is no field {name!r} in the record of a drive")
+        start = int(AXIS.fields["od"][1]) if table is OD else 0  # type: ignore[index]
+        kinds.append((name, table[short]))
+        sizes[start + int(table.fields[short][1])] = table[short].itemsize  # type: ignore[index]
+    return np.dtype(kinds), mapped(sizes)
+
+
+def _bytes(rows: np.ndarray) -> np.ndarray:
+    """View rows as rows of bytes."""
+    return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)

@@ -62,7 +62,7 @@ class MachinePort:
     def obstacles(self, axis: str) -> list[str]:
         """What stops a drive's joint: contacts, the strongest first, or forces."""
         machine = self.machine
-        coupling = machine.couplings[[*machine.drives].index(axis)]
+        coupling = machine.coupling(axis)
         with machine.turn:
             return hindrances(
                 machine.model, machine.data, int(machine.model.dof_jntid[coupling.dof])

@@ -93,7 +93,7 @@ def commission_shaft(
     drive = machine.drives[name]
     if not drive.model.positions:
         return
-    coupling = machine.couplings[list(machine.drives).index(name)]
+    coupling = machine.coupling(name)
     gear = abs(float(coupling.gear))
     given = {"max_velocity": max_velocity, "max_acceleration": max_acceleration}
     for argument, value in {**given, "position_unit": position_unit}.items():

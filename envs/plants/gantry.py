@@ -265,12 +265,12 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
 
 def _micrometre(machine: Gantry, name: str) -> float:
     """1 µm at the shaft (rad)."""
-    return abs(float(machine.couplings[list(machine.drives).index(name)].gear)) * 1e-6
+    return abs(float(machine.coupling(name).gear)) * 1e-6
 
 
 def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive, tuned: bool) -> None:
     """Half of the bridge is the drive's load too; one side overruns its switch by little."""
-    coupling = machine.couplings[list(machine.drives).index(name)]
+    coupling = machine.coupling(name)
     bridge = machine.model.body_subtreemass[machine.model.body("bridge").id]
     inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
     inertia += 0.5 * float(bridge) / float(coupling.gear) ** 2

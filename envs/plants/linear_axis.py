@@ -171,7 +171,7 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
             tuning.turned(machine, name)
         return
     micro = 1e6  # drive units per m
-    coupling = machine.couplings[list(machine.drives).index(name)]
+    coupling = machine.coupling(name)
     per_unit = abs(float(coupling.gear)) / micro  # rad of the shaft
     own_units.motor_and_factors(x, MOTOR | factor_group(x, p.feed_constant * micro))
     parameters = {

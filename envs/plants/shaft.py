@@ -43,7 +43,7 @@ def plant_at_shaft(
         pushes: 1 while the motor does, -1 while the load does, 0 for a gear without losses.
     """
     signs = {names: 1.0} if isinstance(names, str) else dict(names)
-    numbers = {name: [*machine.drives].index(name) for name in signs}
+    numbers = {name: machine.number(name) for name in signs}
     drive = machine.drives[next(iter(signs))]
     period = float(drive.model.cycle_time["velocity"])
     steps = round(period / machine.model.opt.timestep)

@@ -99,7 +99,7 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
     gear = abs(gear)
     inertia = plant_at_shaft(machine, dict.fromkeys(beam, 1.0), pushes=0.0).inertia
     motor, load, gains = motor_of(drive), load_of(machine, name, inertia), gains_of(drive)
-    dof = int(machine.couplings[[*machine.drives].index(name)].dof)
+    dof = int(machine.coupling(name).dof)
     own = float(machine.model.dof_armature[dof]) / gear**2
     if not drive.axis.cycle_count:
         machine.step()  # after which the drive knows its units

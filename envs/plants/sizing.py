@@ -54,7 +54,7 @@ def load_of(machine: Machine, name: str, inertia: float) -> Load:
 
     All other joints stay as they are.
     """
-    number = [*machine.drives].index(name)
+    number = machine.number(name)
     coupling, m = machine.couplings[number], machine.mechanics[number]
     gear = abs(float(coupling.gear))
     low, high = machine.range(name)

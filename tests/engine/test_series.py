@@ -8,7 +8,7 @@ from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
 from servogym.envs import gantry, linear_axis
 from servogym.envs.engine.machine import Residence
-from servogym.envs.engine.series import Series
+from servogym.envs.engine.replay import Replay
 from servogym.envs.masters.port import MachinePort
 
 READ = ("torque_command", "velocity", "position", "limits", "torque_offset")
@@ -23,6 +23,10 @@ def travelling(machine, drives):
     for name in drives:
         master[name].write("target_velocity", 20_000)
     return machine
+
+
+def played(machine, drives, values):
+    return Replay(drives, ["torque_offset"], READ).run([machine], values, delay=0)[0]
 
 
 def by_hand(machine, drives, values):
@@ -55,7 +59,7 @@ def test_it_is_what_steps_in_python_are(make, drives):
     begin, images = machine.snapshot(), {n: d.rpdos.copy() for n, d in machine.drives.items()}
     expected, end = by_hand(machine, drives, values), machine.time
     machine.restore(begin)
-    rows = Series(machine, drives, "torque_offset", READ).run(values)
+    rows = played(machine, drives, values)
     np.testing.assert_array_equal(rows, expected)
     assert abs(rows["torque_command"]).max() > 0
     assert machine.time == end
@@ -68,23 +72,20 @@ def test_it_is_what_steps_in_python_are(make, drives):
 def test_a_machine_that_shares_its_memory_with_others_is_as_alone():
     machine, other = (travelling(linear_axis("generic"), ("x",)) for _ in range(2))
     values = np.full((50, 1), 100)
-    expected = Series(machine, ("x",), "torque_offset", READ).run(values)
+    expected = played(machine, ("x",), values)
     machine.reset()
     residence = Residence(machine)
     for each in (machine, other):
         each.share(residence)
-    np.testing.assert_array_equal(
-        Series(other, ("x",), "torque_offset", READ).run(values), expected
-    )
+    np.testing.assert_array_equal(played(other, ("x",), values), expected)
 
 
 def test_the_mapping_and_the_delay_are_put_back_also_where_it_failed():
     machine = travelling(linear_axis("generic"), ("x",))
     machine.world["delay"] = 3
     before = {name: machine.world[name].copy() for name in ("pdos", "delay")}
-    series = Series(machine, ("x",), "torque_offset", READ)
-    assert series.run(np.zeros((0, 1))).shape == (0, 1)
+    assert played(machine, ("x",), np.zeros((0, 1))).shape == (0, 1)
     machine.couplings["qpos"] = 99
     with pytest.raises(ValueError, match="couplings"):
-        series.run(np.zeros((5, 1)))
+        played(machine, ("x",), np.zeros((5, 1)))
     assert {name: machine.world[name].copy() for name in before} == before
