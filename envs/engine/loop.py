@@ -18,7 +18,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from ...drive.kernel.jit import DISABLED, block, entry, rare
-from ...drive.memory import address, bytes_at, floats_at, integers_at, peek, viewer
+from ...drive.memory import bytes_at, floats_at, integers_at, peek, viewer
 from . import friction, tick
 from .arrays import positions, velocities
 from .clock import clock
@@ -306,6 +306,15 @@ def _protected(context, batch, job):
     return types.int32(types.intp, types.intp), build
 
 
+def _in_python(batch, job):
+    """`_protected` without JIT: MuJoCo's Python functions raise errors themselves."""
+    _all(job)
+    return 0
+
+
+protected: Any = _in_python if DISABLED else _protected
+
+
 @entry
 def _run(batch, job, worlds, ticks, rpdos, tpdos, further):
     """Fill a JOB and do a piece of it, the first or a further one; -> DONE, MORE or FAULTY."""
@@ -314,24 +323,9 @@ def _run(batch, job, worlds, ticks, rpdos, tpdos, further):
     job[0].worlds, job[0].count, job[0].ticks = worlds.ctypes.data, len(worlds), ticks
     job[0].rpdos, job[0].rpdo_bytes = rpdos.ctypes.data, rpdos.shape[1]
     job[0].tpdos, job[0].tpdo_bytes = tpdos.ctypes.data, tpdos.shape[1]
-    if _protected(batch, job.ctypes.data):
+    if protected(batch, job.ctypes.data):
         return FAULTY
     return MORE if job[0].row < len(worlds) else DONE
-
-
-def _run_in_python(batch, job, worlds, ticks, rpdos, tpdos, further):
-    row = job[0]
-    if not further:
-        row.row = row.tick = row.paced = row.refused = 0
-    row.worlds, row.count, row.ticks = address(worlds), len(worlds), ticks
-    row.rpdos, row.rpdo_bytes = address(rpdos), rpdos.shape[1]
-    row.tpdos, row.tpdo_bytes = address(tpdos), tpdos.shape[1]
-    _all(address(job))
-    return MORE if row.row < len(worlds) else DONE
-
-
-if DISABLED:
-    _run = _run_in_python
 
 
 def run(

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...drive.drive import Drive
 from ...drive.kernel import record
-from ...drive.memory import address, peek
+from ...drive.memory import address
 from ...drive.model.foreign import Key
 from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint, named
@@ -21,24 +21,21 @@ from . import loop, mechanics
 from .checks import whole
 from .coupling import couple, unit
 from .guard import Turn
-from .mjcf import attach, read
+from .mjcf import attach
+from .mjcf_reading import read
 from .physics import OPTIONS, RNE_FLAG, STATE, addresses, compiled
 from .probe import PROBE
 from .rates import rates
 from .replay import Replay, rows_of
-from .world import COUPLING, FIELD, PDOS, WORLD
+from .residence import Residence, checksum, variable
+from .world import COUPLING, PDOS, WORLD
 
 MOST = 10**12  # cycles of a step
-# of MjModel, what may differ between machines that share one
-VARIABLE = (
-    "body_pos", "body_ipos", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0",
-    "jnt_stiffness", "dof_armature", "dof_damping", "dof_invweight0", "dof_M0",
-    "dof_length", "geom_pos", "geom_size", "geom_aabb", "geom_rbound", "light_poscom0",
-    "cam_poscom0",
-    "tendon_stiffness", "tendon_length0", "tendon_invweight0",
-    "actuator_acc0", "actuator_gainprm", "actuator_gear",
+USER_LAWS = (  # of actuators, which callbacks of MuJoCo compute
+    ("actuator_dyntype", mujoco.mjtDyn.mjDYN_USER),
+    ("actuator_gaintype", mujoco.mjtGain.mjGAIN_USER),
+    ("actuator_biastype", mujoco.mjtBias.mjBIAS_USER),
 )
-FLOAT = np.dtype("f8")
 NO_IMAGES = np.zeros((1, 0), np.uint8)
 READ = ("position", "velocity", "torque", "position_demand")  # rad, rad/s, Nm, rad
 
@@ -199,11 +196,11 @@ class Machine:
         Raises:
             ValueError: the residence belongs to another kind of machine.
         """
-        if residence.checksum != _checksum(self.model):
+        if residence.checksum != checksum(self.model):
             raise ValueError("the residence is of another machine: build both alike")
         state = np.empty(mujoco.mj_stateSize(self._model, STATE))
         mujoco.mj_getState(self._model, self._data, state, STATE)
-        kept = np.concatenate([array.ravel() for array in _variable(self._model)])
+        kept = np.concatenate([array.ravel() for array in variable(self._model)])
         self._model, self._data = residence.model, residence.data
         own = state, kept, residence.fields, residence.resident
         for name, array in zip(("state", "kept", "fields", "resident"), own, strict=True):
@@ -380,7 +377,7 @@ class Machine:
     def _identity(self) -> dict[str, Any]:
         return {
             "kind": "machine", "drives": {n: d.model.name for n, d in self.drives.items()},
-            "MjModel": _checksum(self.model), "layout": LAYOUT,
+            "MjModel": checksum(self.model), "layout": LAYOUT,
         }
 
     def snapshot(self) -> bytes:
@@ -398,8 +395,8 @@ class Machine:
                 raise RuntimeError(f"there is nothing to keep: {loop.RESET}")
             state = np.empty(mujoco.mj_stateSize(self.model, STATE))
             mujoco.mj_getState(self.model, self.data, state, STATE)
-            variable = np.concatenate([array.ravel() for array in _variable(self.model)])
-            arrays = self.couplings, self.mechanics, variable, state
+            fields = np.concatenate([array.ravel() for array in variable(self.model)])
+            arrays = self.couplings, self.mechanics, fields, state
             parts = [drive.snapshot() for drive in self.drives.values()]
             numbers = {name: int(self.world[name][0]) for name in NUMBERS}
             parts += [array.tobytes() for array in arrays]
@@ -415,18 +412,18 @@ class Machine:
             drives = list(self.drives.values())
             sizes = [
                 *[None] * len(drives), self.couplings.nbytes, self.mechanics.nbytes,
-                sum(array.nbytes for array in _variable(self.model)),
+                sum(array.nbytes for array in variable(self.model)),
                 8 * mujoco.mj_stateSize(self.model, STATE),
             ]
             numbers, parts = snapshots.unseal(snapshot, self._identity(), NUMBERS, sizes)
             opened = [drive.opened(part) for drive, part in zip(drives, parts, strict=False)]
-            couplings, joints, variable, state = parts[len(drives) :]
+            couplings, joints, fields, state = parts[len(drives) :]
             for drive, taken in zip(drives, opened, strict=True):
                 drive.take(taken)
             self.couplings[:] = np.frombuffer(couplings, COUPLING)
             self.mechanics[:] = np.frombuffer(joints, mechanics.MECHANICS)
-            at, values = 0, np.frombuffer(variable)
-            for array in _variable(self.model):
+            at, values = 0, np.frombuffer(fields)
+            for array in variable(self.model):
                 array.ravel()[:] = values[at : at + array.size]
                 at += array.size
             mujoco.mj_setState(self.model, self.data, np.frombuffer(state), STATE)
@@ -440,26 +437,6 @@ class Machine:
             drives = {n: (d.model, d.node_id, d.parameters.file) for n, d in self.drives.items()}
             rates = self.cycle_time, self.physics_steps
             return _rebuild, (copy.copy(self.model), drives, rates, self.snapshot())
-
-
-class Residence:
-    """MjModel and MjData shared by machines of the same structure, and whose turn it is.
-
-    Args:
-        machine: the machine that owns them.
-    """
-
-    def __init__(self, machine: Machine):
-        self.model, self.data = machine.model, machine.data
-        self.checksum = _checksum(self.model)
-        self.turn = Turn()
-        self.resident = np.zeros(1, np.int64)  # address of who lives there now
-        arrays = _variable(self.model)
-        self.fields = np.zeros(len(arrays), FIELD)
-        for field, array in zip(self.fields, arrays, strict=True):
-            field["address"], field["length"] = address(array), array.size
-        # who enters writes down the state of who lived there before, dropped or not
-        self.alive: list[np.ndarray] = [self.resident, self.fields]
 
 
 def _rebuild(
@@ -489,29 +466,8 @@ def _integrator(model: mujoco.MjModel) -> str:
 
 
 def _has_act_callbacks(model: mujoco.MjModel) -> bool:
-    return bool(
-        np.any(model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_USER))
-        or np.any(model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_USER))
-        or np.any(model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_USER))
-    )
+    return any(np.any(getattr(model, name) == int(user)) for name, user in USER_LAWS)
 
 
 NUMBERS = {"tick": Key(int, True), "delay": Key(int, True)}  # of a snapshot, beside the arrays
 LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())
-
-
-def _variable(model: mujoco.MjModel) -> list[np.ndarray]:
-    """What may differ between machines that share a model; the last two: gravity, mjStatistic."""
-    center = model.stat.center  # behind mean inertia, mass and size, and extent, which it follows
-    arrays = [getattr(model, name) for name in VARIABLE]
-    return [*arrays, model.opt.gravity, peek(FLOAT, address(center) - 32, 7)]
-
-
-def _checksum(model: mujoco.MjModel) -> int:
-    """Return a checksum of everything in the model that does not vary."""
-    model = copy.copy(model)
-    for array in _variable(model):
-        array[:] = 0
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return zlib.crc32(buffer.tobytes())

@@ -23,8 +23,9 @@ import numpy as np
 from ...drive.kernel.process_data import PDO
 from ...drive.kernel.record import AXIS
 from . import loop, parts
-from .machine import VARIABLE, Machine
+from .machine import Machine
 from .mechanics import CARRIAGE, MECHANICS, PLACES
+from .residence import VARIABLE
 from .rows import Rows, aligned
 from .world import COUPLING, MOVE, PDOS, SINGLE
 
@@ -66,7 +67,7 @@ class Worlds:
     """Machines on a warp device.
 
     Args:
-        machines: of one structure; they may differ in `machine.VARIABLE`.
+        machines: of one structure; they may differ in `residence.VARIABLE`.
         device: "cuda", one such as "cuda:1", or "cpu".
         ticks: physics steps in a step of the agent.
         images: process images of a machine, or None.

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from ..engine.checks import choice, whole
 from ..engine.checks import threads as granted
 from ..engine.guard import Turn
-from ..engine.machine import Residence
+from ..engine.residence import Residence
 from ..exchange.batch import shown
 from ..exchange.faces import FAULT
 from .servo_env import ServoEnv
@@ -77,7 +77,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
                 env = task(**arguments)
                 self.envs.append(env)
                 if len(self.envs) == begin + 1:
-                    residence = Residence(env.machine)
+                    residence = Residence(env.machine.model, env.machine.data)
                 env.machine.share(residence)
         first = self.envs[0]
         self.metadata = first.metadata | {"autoreset_mode": self.autoreset_mode}

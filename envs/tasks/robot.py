@@ -13,7 +13,8 @@ from ...drive.model.model import DriveModel
 from ...drive.model.names import hint, named
 from ..engine.checks import in_range
 from ..engine.machine import Machine
-from ..engine.mjcf import JOINT_TYPES, read
+from ..engine.mjcf import JOINT_TYPES
+from ..engine.mjcf_reading import read
 from ..engine.tick import coordinates
 from ..engine.touch import obstacles
 from ..environment.servo_env import METRE, ServoEnv

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 
 from ..engine.machine import Machine
+from ..engine.mjcf_reading import HEIGHT, WIDTH
 from ..engine.physics import STATE
 from .camera import beside, floor, framed, visible_points
 from .decor import Part, parts
 from .overlay import Line, Overlay, lines
 
-HEIGHT, WIDTH = 540, 960
 LONGEST = 400  # places of a path that are kept
 APART = 1.5e-3  # m between two of them
 MARK = 0.02  # m, radius of the ghost of a site

@@ -7,7 +7,7 @@ import mujoco
 import pytest
 
 from servogym.envs import Machine
-from servogym.envs.engine import mjcf
+from servogym.envs.engine import mjcf_reading as mjcf
 
 AXIS = """<mujoco>{}<worldbody>{}<body><joint name="x" type="slide"/><geom size=".1"/></body>
 </worldbody></mujoco>"""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servogym.envs import Machine, gantry, linear_axis, rotary_axis
-from servogym.envs.engine.machine import Residence
+from servogym.envs.engine.residence import Residence
 
 SLIDE = """
 <mujoco><option timestep="{timestep}"/>
@@ -250,7 +250,7 @@ def test_machines_that_share_model_and_data_are_bit_for_bit_alone():
         return [machine.snapshot() for machine in group]
 
     alone, together = machines(), machines()
-    residence = Residence(together[0])
+    residence = Residence(together[0].model, together[0].data)
     for machine in together:
         machine.share(residence)
     body = together[2].model.body("payload").id

@@ -21,7 +21,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever started us
 from servogym.drive.drive import Drive
 from servogym.drive.kernel import record
 from servogym.envs import Machine, linear_axis, gantry
-from servogym.envs.engine.machine import Residence
+from servogym.envs.engine.residence import Residence
 from servogym.envs.tasks.positioning import LinearAxisEnv
 from servogym.envs.tasks.sway import GantrySwayEnv
 from servogym.envs.environment.vector_env import ServoVectorEnv
@@ -157,7 +157,8 @@ v = vector(4, 4); v.step(act(v)); del v; gc.collect()
 # an exception in building leaves nothing behind
 refused(ValueError, "num_envs", ServoVectorEnv, LinearAxisEnv, 0); gc.collect()
 # machines of another kind do not live together
-refused(ValueError, "another machine", gantry().share, Residence(linear_axis()))
+other = linear_axis()
+refused(ValueError, "another machine", gantry().share, Residence(other.model, other.data))
 # an image of the observation stays what it was
 v = vector(2); o, *_ = v.step(act(v)); c = o.copy(); del_ = v.step(act(v, 3)); assert np.array_equal(o, c)
 """,  # noqa: E501

@@ -7,8 +7,8 @@ from servogym.drive.kernel.record import AXIS
 from servogym.drive.kernel.words import Mode
 from servogym.drive.master import Master
 from servogym.envs import gantry, linear_axis
-from servogym.envs.engine.machine import Residence
 from servogym.envs.engine.replay import Replay
+from servogym.envs.engine.residence import Residence
 from servogym.envs.masters.port import MachinePort
 
 READ = ("torque_command", "velocity", "position", "limits", "torque_offset")
@@ -74,7 +74,7 @@ def test_a_machine_that_shares_its_memory_with_others_is_as_alone():
     values = np.full((50, 1), 100)
     expected = played(machine, ("x",), values)
     machine.reset()
-    residence = Residence(machine)
+    residence = Residence(machine.model, machine.data)
     for each in (machine, other):
         each.share(residence)
     np.testing.assert_array_equal(played(other, ("x",), values), expected)

@@ -17,7 +17,7 @@ import numpy as np
 
 from servogym.drive.master import Master, ServoError
 from servogym.envs import Machine, commission_joint
-from servogym.envs.engine.mjcf import read
+from servogym.envs.engine.mjcf_reading import read
 from servogym.envs.masters.port import MachinePort
 
 FOUND = (  # of each package

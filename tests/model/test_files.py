@@ -16,7 +16,7 @@ from servogym.drive.wire import pcapng
 from servogym.drive.wire.log import messages
 from servogym.drive.wire.recording import _columns
 from servogym.envs.course.exercise import load as load_lesson
-from servogym.envs.engine import mjcf
+from servogym.envs.engine import mjcf_reading as mjcf
 from servogym.training.evaluate.suite import read as load_suite
 
 INCLUDES = '<mujoco><include file="{}"/><worldbody/></mujoco>'

@@ -17,7 +17,7 @@ from ...envs import (
     linear_axis,
     rotary_axis,
 )
-from ...envs.engine.mjcf import read
+from ...envs.engine.mjcf_reading import read
 from . import arguments
 from .arguments import FINITE, option
 
