@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..plants import loops
-from ..plants.loops import LOWEST, Gains, LoopPlant
+from ..plants.loops import LOWEST, Gains
 from .response import Response
 
 
@@ -33,17 +33,9 @@ def fit(
         ease: share of the velocity gain that was found to use, 1 for all of it.
         allowed: what the drive takes, of `plants.loops.ranges`.
     """
-    plants = [_seen(each) for each in (response, *(other for _, other in response.also))]
+    plants = [each.wide_plant for each in (response, *(other for _, other in response.also))]
     pid = response.gains.pid is not None
     return (loops.fastest_pid if pid else loops.fastest)(plants, asked, allowed, ease)
-
-
-def _seen(response: Response) -> LoopPlant:
-    wide = response.wide
-    return LoopPlant(
-        wide.frequencies, wide.plant, wide.position_plant, wide.cycle, wide.cycles,
-        response.inertia, filters=wide.filters,
-    )
 
 
 def why_not(response: Response, asked: Requirements) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..plants.loops import Filters, Gains, pid_loop
+from ..plants.loops import Filters, Gains, LoopPlant
 from .margins import TOO_HIGH, Margins, margins
 from .plant import Plant, sampled
 
@@ -164,35 +164,30 @@ class Response:
             self.cycle / (1 - 1 / z) * (1 - (1 - self.velocity_filter) / z) / self.velocity_filter
         )
 
-    @property
-    def _z(self) -> np.ndarray:
-        return np.exp(2j * np.pi * self.frequencies * self.cycle)
+    @cached_property
+    def _plant(self) -> LoopPlant:
+        """The plant as measured, behind the controllers of a drive."""
+        return LoopPlant(
+            self.frequencies, self.plant, self.position_plant, self.cycle, self.cycles,
+            self.inertia, filters=self.filters,
+        )
 
     @property
-    def controller(self) -> np.ndarray:
-        """Torque command (Nm) over velocity error (rad/s)."""
-        gains, z = self.gains, self._z
-        filtered = np.ones_like(z) if self.filters is None else self.filters(self.frequencies)
-        if gains.integral_time <= 0.0:
-            return gains.velocity_gain * filtered
-        time = max(gains.integral_time, self.cycle)
-        return gains.velocity_gain * filtered * (1 + self.cycle / time / (z - 1))
+    def wide_plant(self) -> LoopPlant:
+        """The plant of `wide`, with the inertia of the fit."""
+        return replace(self.wide._plant, inertia=self.inertia)
 
     @property
     def velocity_loop(self) -> np.ndarray:
         """Open loop of the velocity controller."""
-        return self.controller * self.plant
+        return self._plant.velocity_loop(*self.gains.cascade[:2])[0]
 
     @property
     def position_loop(self) -> np.ndarray:
         """Open loop of the position controller, with the velocity loop closed."""
         if self.gains.pid is not None:
-            filters = self.filters or Filters(self.cycle)
-            plant = self.frequencies, self.plant, self.position_plant
-            return pid_loop(self.gains.pid, filters, *plant)
-        hold = sum(self._z**-k for k in range(self.cycles)) / self.cycles
-        closed = self.controller / (1 + self.velocity_loop) * self.position_plant
-        return self.gains.position_gain * hold * closed
+            return self._plant.pid_loop(self.gains.pid)
+        return self._plant.position_loop(*self.gains.cascade)[0]
 
     @cached_property
     def velocity_margins(self) -> Margins:

@@ -5,6 +5,7 @@ import inspect
 import math
 import os
 import traceback
+from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field, fields, replace
 from typing import Any
@@ -139,52 +140,35 @@ def words(error: BaseException) -> str:
     return own or str(error).partition(" was raised from the environment")[0]
 
 
-class Options(dict[str, Any]):
-    """Options of a reset, which know what a task has asked for.
+class Options(UserDict[str, Any]):
+    """Options of a reset, which record the names that a task has asked for.
 
-    A task that takes all of them at once (``drawn | options``) is believed to know them all.
+    A task that reads all of them at once (``drawn | options``) is taken to know them all.
     """
 
     def __init__(self, given: Mapping[str, Any]):
-        super().__init__(given)
         self._asked: dict[str, None] = {}  # in their order
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """Return an option as `dict.get` does."""
-        self._asked[name] = None
-        return super().get(name, default)
-
-    def pop(self, name: str, *default: Any) -> Any:
-        """Remove and return an option as `dict.pop` does."""
-        self._asked[name] = None
-        return super().pop(name, *default)
-
-    def __getitem__(self, name: str) -> Any:
-        self._asked[name] = None
-        return super().__getitem__(name)
+        super().__init__()
+        self.data.update(given)
 
     def __contains__(self, name: object) -> bool:
         self._asked[str(name)] = None
-        return super().__contains__(name)
+        return name in self.data
+
+    def __getitem__(self, name: str) -> Any:
+        self._asked[name] = None
+        return self.data[name]
 
     def __iter__(self) -> Iterator[str]:
-        self._asked |= dict.fromkeys(super().__iter__())
-        return super().__iter__()
-
-    def keys(self) -> Any:
-        """Return the names of all options."""
-        return list(self)
-
-    def items(self) -> Any:
-        """Return names and values of all options."""
-        return [(name, self[name]) for name in self]
+        self._asked |= dict.fromkeys(self.data)
+        return iter(self.data)
 
     def __ror__(self, other: Any) -> Any:
-        return dict(other) | dict(self.items())
+        return {**other, **self}
 
     def refuse_unread(self) -> None:
-        """Raise ValueError for an option that no one has asked for."""
-        for name in dict.keys(self) - self._asked.keys():
+        """Raise ValueError for an option that the task has not asked for."""
+        for name in self.data.keys() - self._asked.keys():
             remark = hint(name, self._asked)
             raise ValueError(
                 f"options: there is no {name!r} here" + (f": {remark}" if remark else "")

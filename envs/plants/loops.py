@@ -53,6 +53,11 @@ class Gains:
         )
 
     @property
+    def cascade(self) -> tuple[list[float], list[float], list[float]]:
+        """Velocity gain, integral time and position gain, each as an array of one."""
+        return [self.velocity_gain], [self.integral_time], [self.position_gain]
+
+    @property
     def as_pid(self) -> tuple[float, float, float]:
         """The PID controller that does the same as the cascade, with its velocity fed forward."""
         rate = 1 / self.integral_time if self.integral_time > 0.0 else 0.0
@@ -159,24 +164,7 @@ def filters_of(drive: Drive) -> Filters:
     )
 
 
-def pid_loop(
-    pid: tuple[float, float, float], filters: Filters, frequencies: np.ndarray,
-    velocity: np.ndarray, position: np.ndarray,
-) -> np.ndarray:
-    """Open loop of a PID position controller on a plant, shape ``(n,)``."""
-    gain, integral, derivative = pid
-    z, cycle = np.exp(2j * np.pi * frequencies * filters.cycle), filters.cycle
-    share = 1.0
-    if gain > 0.0 and derivative > 0.0:
-        share = -math.expm1(-cycle * PID_FILTER * gain / derivative)
-    difference = (1 - 1 / z) / cycle * share / (1 - (1 - share) / z) * position
-    if filters.observed:
-        difference = velocity
-    straight = (gain + integral * cycle / (z - 1)) * position
-    return filters(frequencies) * (straight + derivative * difference)
-
-
-# of gains that no drive bounds
+# ranges of gains that no drive bounds
 ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, math.inf))
 
 
@@ -223,15 +211,25 @@ class LoopPlant:
         integral = np.where(time > 0.0, self.cycle / np.maximum(time, self.cycle), 0.0)
         return filtered * kp * (1 + integral / (z - 1))
 
+    def pid_loop(self, pid: tuple[float, float, float]) -> np.ndarray:
+        """Open loop of a PID position controller, shape ``(n,)``."""
+        filters, cycle = self.filters or Filters(self.cycle), self.cycle
+        gain, integral, derivative = pid
+        z, share = np.exp(2j * np.pi * self.frequencies * cycle), 1.0
+        if gain > 0.0 and derivative > 0.0:
+            share = -math.expm1(-cycle * PID_FILTER * gain / derivative)
+        difference = (1 - 1 / z) / cycle * share / (1 - (1 - share) / z) * self.position
+        if filters.observed:
+            difference = self.velocity
+        straight = (gain + integral * cycle / (z - 1)) * self.position
+        return filters(self.frequencies) * (straight + derivative * difference)
+
     def margins(self, gains: Gains) -> tuple[Margin, Margin]:
         """Gain (dB), phase (degree) and stability of the velocity and of the position loop."""
-        kp, time = [gains.velocity_gain], [gains.integral_time]
-        velocity = margins_of(self.frequencies, self.velocity_loop(kp, time))
-        loops = self.position_loop(kp, time, [gains.position_gain])[:, self.below]
+        velocity = margins_of(self.frequencies, self.velocity_loop(*gains.cascade[:2]))
+        loops = self.position_loop(*gains.cascade)[:, self.below]
         if gains.pid is not None:
-            filters = self.filters or Filters(self.cycle)
-            plant = self.frequencies, self.velocity, self.position
-            loops = pid_loop(gains.pid, filters, *plant)[None, self.below]
+            loops = self.pid_loop(gains.pid)[None, self.below]
         position = margins_of(self.frequencies[self.below], loops)
         (a, b, c), (d, e, f) = ([x[0] for x in each] for each in (velocity, position))
         inner = bool(c) or gains.pid is not None  # a PID controller has no loop inside
@@ -244,7 +242,7 @@ class LoopPlant:
 
     def crossover(self, gains: Gains) -> float:
         """Highest frequency (Hz) at which the velocity loop is 1."""
-        loop = abs(self.velocity_loop([gains.velocity_gain], [gains.integral_time])[0])
+        loop = abs(self.velocity_loop(*gains.cascade[:2])[0])
         return float(self.frequencies[loop > 1].max(initial=0.0))
 
 

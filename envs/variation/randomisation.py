@@ -1,4 +1,4 @@
-"""Domain randomisation: what may differ from one episode to the next, as declared ranges.
+"""Domain randomisation: parameters of a machine that are drawn for each episode.
 
 | name | meaning | unit |
 |------|---------|------|
@@ -12,17 +12,18 @@
 | delay | of an RPDO on its way to the drives | position cycles |
 | encoder_noise | standard deviation of the measured joint position | m or rad |
 
-These, and every parameter of `servogym.envs.engine.parameters` that can act in the machine, for all
-of its drives: ``{"coulomb_friction": (8.0, 16.0), "viscous_friction": (10.0, 40.0)}`` draws the two
-frictions apart, in N and N·s/m.
+Every parameter of `servogym.envs.engine.parameters` that can act in the machine may be drawn as
+well, alike for all of its drives: ``{"coulomb_friction": (8.0, 16.0), "viscous_friction": (10.0,
+40.0)}`` draws the two frictions independently, in N and N·s/m.
 
-A range is ``(low, high)``, drawn uniformly, or one number that is always taken. One with a share,
-``(low, high, share)``, is drawn in that share of the episodes; the others have the nominal.
+A range ``(low, high)`` is drawn uniformly; a single number is always used. With a share, ``(low,
+high, share)``, the range is drawn in that share of the episodes, and the others use the nominal
+value.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -36,7 +37,7 @@ GAINS = ("velocity_control_gain", "position_control_gain")
 
 
 class Nominal(NamedTuple):
-    """What a machine was built with, as factors refer to it."""
+    """The values that a machine was built with, to which factors refer."""
 
     friction: np.ndarray  # of the couplings, shape (n_drives,), N or Nm
     damping: np.ndarray  # of the degrees of freedom
@@ -47,13 +48,15 @@ class Nominal(NamedTuple):
 
 
 class Knob(NamedTuple):
-    """One row: the range allowed, and what setting a value means."""
+    """A row of the table: the permitted range, how a value is set, and which machines have it."""
 
     low: float
     high: float
     unit: str
     turn: Callable[[Machine, Nominal, float], None]
     nominal: Callable[[Machine], float]  # of a machine as it was built
+    there: Callable[[Machine], bool] = lambda machine: True
+    lacking: str = "this machine has nothing it could act in"  # said of a machine without it
 
 
 def _cable_length(machine: Machine, nominal: Nominal, length: float) -> None:
@@ -61,6 +64,10 @@ def _cable_length(machine: Machine, nominal: Nominal, length: float) -> None:
     load, cable = model.geom(PAYLOAD), model.geom(CABLE)
     model.body(PAYLOAD).ipos[2] = load.pos[2] = -length
     cable.pos[2], cable.size[1] = -0.5 * length, 0.5 * length
+
+
+def _hangs(machine: Machine) -> bool:
+    return mujoco.mj_name2id(machine.model, mujoco.mjtObj.mjOBJ_GEOM, CABLE) >= 0
 
 
 def _friction(machine: Machine, nominal: Nominal, share: float) -> None:
@@ -74,13 +81,17 @@ def _stiffness(machine: Machine, nominal: Nominal, share: float) -> None:
     machine.model.tendon_stiffness[:] = share * nominal.tendon_stiffness
 
 
+def _has_springs(machine: Machine) -> bool:
+    return bool(machine.model.jnt_stiffness.any() or machine.model.tendon_stiffness.any())
+
+
 def _structural_damping(machine: Machine, nominal: Nominal, share: float) -> None:
     free = _without_drive(machine)
     machine.model.dof_damping[free] = share * nominal.damping[free]
 
 
 def _without_drive(machine: Machine) -> np.ndarray:
-    """The degrees of freedom no drive moves."""
+    """The degrees of freedom that no drive moves."""
     return np.setdiff1d(np.arange(machine.model.nv), machine.couplings["dof"])
 
 
@@ -94,7 +105,7 @@ def _one(machine: Machine) -> float:
     return 1.0
 
 
-def _parameter(name: str, high: float | None = None) -> Knob:
+def _parameter(name: str, high: float | None = None, **more: Any) -> Knob:
     """A parameter of the machine, alike for all of its drives."""
     row = PARAMETERS[name]
 
@@ -102,36 +113,53 @@ def _parameter(name: str, high: float | None = None) -> Knob:
         for joint in nominal.joints:
             row.set(joint, value)
 
+    def joints(machine: Machine) -> list[Joint]:
+        return [Joint(machine, drive) for drive in machine.drives]
+
     return Knob(
         row.low, row.high if high is None else high, row.unit, turn,
-        lambda machine: max(row.get(Joint(machine, drive)) for drive in machine.drives),
+        lambda machine: max(map(row.get, joints(machine))),
+        lambda machine: all(map(row.there, joints(machine))), **more,
     )
 
 
 KNOBS = {
     **{name: _parameter(name) for name in PARAMETERS},
-    "payload": _parameter("payload", high=100.0),
+    "payload": _parameter(
+        "payload", high=100.0, lacking="this machine has no body 'payload' with a mass"
+    ),
     "cable_length": Knob(
-        0.05, 10.0, "m", _cable_length, lambda m: -float(m.model.body(PAYLOAD).ipos[2])
+        0.05, 10.0, "m", _cable_length, lambda m: -float(m.model.body(PAYLOAD).ipos[2]), _hangs,
+        "the load of this machine does not hang, build it with cable_length",
     ),
     "friction": Knob(0.0, 10.0, "of the nominal friction", _friction, _one),
-    "stiffness": Knob(0.1, 10.0, "of the nominal stiffness", _stiffness, _one),
-    "backlash": _parameter("backlash", high=0.01),
-    "structural_damping": Knob(0.0, 10.0, "of the nominal damping", _structural_damping, _one),
+    "stiffness": Knob(
+        0.1, 10.0, "of the nominal stiffness", _stiffness, _one, _has_springs,
+        "this machine has no springs",
+    ),
+    "backlash": _parameter(
+        "backlash", high=0.01, lacking="this machine has no elastic transmission "
+        "(transmission_stiffness) the gap could lie in",
+    ),
+    "structural_damping": Knob(
+        0.0, 10.0, "of the nominal damping", _structural_damping, _one,
+        lambda m: bool(m.model.dof_damping[_without_drive(m)].any()),
+        "no joint without a drive has damping here",
+    ),
     "gains": Knob(0.1, 3.0, "of the nominal gains", _gains, _one),
 }
 
 
 class Randomisation:
-    """Declared ranges of one machine.
+    """Declared ranges of one machine, from which each episode draws its parameters.
 
     Args:
-        machine: as it was built; what it has now is the nominal.
+        machine: as it was built; its present values are the nominal ones.
         ranges: numbers, ``(low, high)`` or ``(low, high, share)`` by name.
-        cycles: position cycles of a step, the longest delay there can be.
+        cycles: position cycles of a step, the longest possible delay.
 
     Raises:
-        ValueError: an unknown name, a range that is none, out of bounds or without effect here.
+        ValueError: an unknown name, an invalid range, one out of bounds or without effect here.
     """
 
     def __init__(
@@ -151,32 +179,9 @@ class Randomisation:
                     f"randomise['delay'] = {ranges['delay']!r}: {end:g} position cycles are no "
                     f"whole number of physics steps, of which a cycle has {machine.physics_steps}"
                 )
-        joints = [Joint(machine, name) for name in machine.drives]
-        if "payload" in ranges and joints[0].mass(PAYLOAD) <= 0.0:
-            raise ValueError("randomise['payload']: this machine has no body 'payload' with a mass")
-        if (
-            "cable_length" in ranges
-            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, CABLE) < 0
-        ):
-            raise ValueError(
-                "randomise['cable_length']: the load of this machine does not hang, build it with "
-                "cable_length"
-            )
-        springs = model.jnt_stiffness.any() or model.tendon_stiffness.any()
-        if "stiffness" in ranges and not springs:
-            raise ValueError("randomise['stiffness']: this machine has no springs")
-        if "backlash" in ranges and (machine.mechanics["guide"] < 0).any():
-            raise ValueError(
-                "randomise['backlash']: this machine has no elastic transmission "
-                "(transmission_stiffness) the gap could lie in"
-            )
-        if "structural_damping" in ranges and not model.dof_damping[_without_drive(machine)].any():
-            raise ValueError(
-                "randomise['structural_damping']: no joint without a drive has damping here"
-            )
         for name in ranges:
-            if name in PARAMETERS and not all(PARAMETERS[name].there(each) for each in joints):
-                raise ValueError(f"randomise[{name!r}]: this machine has nothing it could act in")
+            if not KNOBS[name].there(machine):
+                raise ValueError(f"randomise[{name!r}]: {KNOBS[name].lacking}")
         self._nominal = Nominal(
             machine.couplings["friction"].copy(),
             model.dof_damping.copy(),
@@ -186,13 +191,13 @@ class Randomisation:
                 {name: drive.read(name) for name in GAINS if name in drive.objects.names}
                 for drive in machine.drives.values()
             ],
-            joints,
+            [Joint(machine, name) for name in machine.drives],
         )
-        self.gains = self._nominal.gains  # built with: by object, for each drive
+        self.gains = self._nominal.gains  # as built: by object, for each drive
         self._usual = {name: KNOBS[name].nominal(machine) for name in ranges}
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:
-        """Draw a value for each name and set it; -> the values. The machine has to be reset."""
+        """Draw a value for each name and set it; -> the values. Reset the machine afterwards."""
         scattered = self._machine.mechanics["switch_scatter"] > 0.0
         if scattered.any():
             seeds = generator.integers(1, 2**63, len(scattered), dtype=np.uint64)
@@ -202,7 +207,7 @@ class Randomisation:
             values[name] = float(generator.uniform(low, high)) if low < high else low
             if share and generator.random() >= share[0]:
                 values[name] = self._usual[name]
-        if "delay" in values:  # as it is
+        if "delay" in values:  # in whole physics steps
             steps = self._machine.physics_steps
             values["delay"] = round(values["delay"] * steps) / steps
         if "encoder_noise" in values:
@@ -212,7 +217,7 @@ class Randomisation:
         return values
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Give the machine these values."""
+        """Set these values in the machine."""
         for name, value in values.items():
             KNOBS[name].turn(self._machine, self._nominal, value)
         if values:
