@@ -19,6 +19,14 @@ def whole_ratio(slow: float, fast: float, slow_name: str, fast_name: str, remedy
     return ratio
 
 
+def physics_step(timestep: float | None, usual: float) -> float:
+    """The physics step (s), `usual` if none is given. Raises ValueError if it is out of range."""
+    timestep = usual if timestep is None else timestep
+    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
+        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
+    return timestep
+
+
 def rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, int]:
     """The machine's cycle (s), which is the longest position cycle, and its physics steps."""
     cycles = {name: drive.model.cycle_time["position"] for name, drive in drives.items()}

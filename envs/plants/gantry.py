@@ -19,12 +19,14 @@ from ...drive.model.model import DriveModel, load
 from ..engine.checks import changed, check_fields, flag, ranged
 from ..engine.machine import Machine
 from ..engine.physics import compiled
+from ..engine.rates import physics_step
 from . import own_units
-from .linear_axis import LinearAxisParameters, commission, tune
+from .axis_parameters import LinearAxisParameters
+from .linear_axis import commission
 from .loops import in_units
 from .shaft import plant_at_shaft
 from .sizing import largest
-from .tuning import Unmovable, fitting, inertia_at_shaft, rule
+from .tuning import Unmovable, fitting, gains, inertias, movable, rule
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "gantry.xml"
 FEED_CONSTANT = 0.06  # m per motor revolution
@@ -140,9 +142,7 @@ def gantry(
         raise ValueError(f"parameters and {', '.join(values)} are both given: choose one way")
     model, tuned = load(drive), flag("tuned", tuned)
     names = ("x", "y", "z") if parameters.x_drives == 1 else (*PAIR, "y", "z")
-    timestep = model.cycle_time["velocity"] if timestep is None else timestep
-    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
-        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
+    timestep = physics_step(timestep, model.cycle_time["velocity"])
     stiffest = VIBRATING_MASS * (1.5 / timestep) ** 2  # the integrator diverges at 2
     if parameters.x_drives == 2 and parameters.coupling_stiffness > stiffest:
         raise ValueError(
@@ -154,11 +154,8 @@ def gantry(
     except Unmovable as error:
 
         def moves(payload: float) -> bool:
-            try:
-                _made(model, replace(parameters, payload=payload), timestep, names, tuned)
-            except Unmovable:
-                return False
-            return True
+            lighter = replace(parameters, payload=payload)
+            return movable(lambda: _made(model, lighter, timestep, names, tuned))
 
         raise ValueError(
             f"payload = {parameters.payload:g} kg: {error}; "
@@ -272,9 +269,8 @@ def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive, tuned: bool)
     """Half of the bridge is the drive's load too; one side overruns its switch by little."""
     coupling = machine.coupling(name)
     bridge = machine.model.body_subtreemass[machine.model.body("bridge").id]
-    inertia = inertia_at_shaft(machine.model, machine.data, coupling.dof, coupling.gear)
-    inertia += 0.5 * float(bridge) / float(coupling.gear) ** 2
-    tune(drive, inertia)
+    inertia = inertias(machine, name)[0] + 0.5 * float(bridge) / float(coupling.gear) ** 2
+    drive.commission(gains(drive, inertia))
     if tuned:  # for both ways to move: side by side, and one against the other
         signs = [dict(zip(PAIR, (1.0, sign), strict=True)) for sign in (1.0, -1.0)]
         plants = [plant_at_shaft(machine, each) for each in signs]

@@ -15,12 +15,13 @@ from ...drive.model.model import DriveModel, load
 from ..engine.checks import flag
 from ..engine.machine import Machine
 from ..engine.physics import compiled
+from ..engine.rates import physics_step
 from . import own_units, tuning, twins
 from .axis_parameters import HEAVIEST, LinearAxisParameters, chosen, family
 from .motor import MOTOR, motor_and_encoder
 from .sizing import Profile, first, largest, least
 from .transmission import MOTOR_SIDE_MASS, TooFast, drive_elastically, slow_enough, spring
-from .tuning import TooLight, Unmovable, gains, inertia_at_shaft, inertia_of_motor_side
+from .tuning import TooLight, Unmovable, gains
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
@@ -66,33 +67,35 @@ def linear_axis(
             or drive cannot move.
     """
     if twin is not None:
-        found = twins.read(twin)
-        if found.builder != "linear_axis":
-            raise ValueError(f"twin = {str(twin)!r} is a {found.builder}, no linear_axis")
-        return found.machine(linear_axis, None if drive == "generic" else drive)
+        return twins.machine_of(twin, linear_axis, drive)
     if parameters is None:
         parameters = family(mechanics, **values)
     elif values or mechanics != "rigid":
         given = [*values, *(["mechanics"] if mechanics != "rigid" else [])]
         raise ValueError(f"parameters and {', '.join(given)} are both given: choose one way")
     parameters, tuned = chosen(parameters, 0.0), flag("tuned", tuned)
-    drive_model = load(drive)
-    if timestep is None:
-        timestep = _timestep(parameters, drive_model)
-    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
-        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
-    plant = copy.copy(_plant(parameters, drive_model.rotor_inertia, timestep))
-    machine = Machine(plant, {"x": drive_model})
+    model = load(drive)
     try:
-        commission(machine, "x", parameters, tuned)
+        machine = _made(model, parameters, tuned, timestep)
     except Unmovable as error:
         raise ValueError(
             f"payload = {parameters.payload:g} kg: {error}; "
-            f"{_would_do(drive_model, parameters, error)}"
+            f"{_would_do(model, parameters, error)}"
         ) from None
     if parameter_file is not None:
         machine.drives["x"].use_parameter_file(parameter_file)
     machine.reset()
+    return machine
+
+
+def _made(
+    model: DriveModel, p: LinearAxisParameters, tuned: bool = True, timestep: float | None = None
+) -> Machine:
+    """An axis built and commissioned. Raises Unmovable where motor or drive cannot move it."""
+    usual = _timestep(p, model) if timestep is None else timestep
+    plant = copy.copy(_plant(p, model.rotor_inertia, physics_step(timestep, usual)))
+    machine = Machine(plant, {"x": model})
+    commission(machine, "x", p, tuned)
     return machine
 
 
@@ -198,10 +201,9 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
     }
     own_units.commission(x, parameters, per_unit)
     own_units.commission(x, motor_and_encoder(p, x), per_unit)
-    place = machine.model, machine.data, coupling.dof, coupling.gear
-    inertia, motor_side = inertia_at_shaft(*place), inertia_of_motor_side(*place)
+    inertia, motor_side = tuning.inertias(machine, name)
     if not tuned:
-        tune(x, inertia, motor_side)
+        x.commission(gains(x, inertia, motor_side))
         return
     gear = abs(float(coupling.gear))
     wanted = Profile(
@@ -220,13 +222,7 @@ def _would_do(model: DriveModel, p: LinearAxisParameters, refusal: Unmovable) ->
 
     def moves(**changed: float) -> bool:
         other = replace(p, **changed)  # type: ignore[arg-type]
-        plant = copy.copy(_plant(other, model.rotor_inertia, _timestep(other, model)))
-        machine = Machine(plant, {"x": model})
-        try:
-            commission(machine, "x", other)
-        except Unmovable:
-            return False
-        return True
+        return tuning.movable(lambda: _made(model, other))
 
     if isinstance(refusal, TooLight):
         mass = least(lambda payload: moves(payload=payload), p.payload, HEAVIEST)
@@ -255,8 +251,3 @@ def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]
         "acceleration_factor_divisor": units,
         "acceleration_factor_numerator": turns * 60 * 256,
     }
-
-
-def tune(drive: Drive, inertia: float, motor_side: float | None = None) -> None:
-    """Set the gains for `inertia` (kg·m² at the shaft), `motor_side` of it before any spring."""
-    drive.commission(gains(drive, inertia, motor_side))

@@ -15,14 +15,15 @@ from ...drive.model.names import hint
 from ..engine.checks import changed, flag
 from ..engine.machine import Machine
 from ..engine.physics import compiled
+from ..engine.rates import physics_step
 from . import own_units, twins
 from .commissioning import commission_shaft
-from .linear_axis import FINER, tune
+from .linear_axis import FINER
 from .motor import motor_and_encoder
 from .rotary_parameters import ROTARY_FAMILY, RotaryParameters
 from .sizing import first, largest
 from .transmission import MOTOR_SIDE_MASS, drive_elastically, slow_enough
-from .tuning import Unmovable, inertia_at_shaft, inertia_of_motor_side, turned
+from .tuning import Unmovable, gains, inertias, movable, turned
 
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "rotary_axis.xml"
 TABLE_MASS = 10.0  # kg; only its inertia counts
@@ -59,10 +60,7 @@ def rotary_axis(
             do not allow or that is too long for the elastic mechanics.
     """
     if twin is not None:
-        found = twins.read(twin)
-        if found.builder != "rotary_axis":
-            raise ValueError(f"twin = {str(twin)!r} is a {found.builder}, no rotary_axis")
-        return found.machine(rotary_axis, None if drive == "generic" else drive)
+        return twins.machine_of(twin, rotary_axis, drive)
     if mechanics not in ROTARY_FAMILY:
         raise ValueError(
             f"mechanics = {mechanics!r} is unknown: {hint(str(mechanics), ROTARY_FAMILY)}"
@@ -72,12 +70,8 @@ def rotary_axis(
     elif values:
         raise ValueError(f"parameters and {', '.join(values)} are both given: choose one way")
     model, tuned = load(drive), flag("tuned", tuned)
-    timestep = model.cycle_time["velocity"] if timestep is None else timestep
-    if not (isinstance(timestep, int | float) and 0.0 < timestep <= 0.01):
-        raise ValueError(f"timestep = {timestep!r} is out of range 0..0.01 s")
-    machine = Machine(_plant(parameters, model, timestep), {"x": model})
     try:
-        _commission(machine, parameters, tuned)
+        machine = _made(model, parameters, tuned, timestep)
     except Unmovable as error:
         raise ValueError(
             f"inertia = {parameters.inertia:g} kg·m²: {error}; {_would_do(model, parameters)}"
@@ -86,17 +80,22 @@ def rotary_axis(
     return machine
 
 
+def _made(
+    model: DriveModel, p: RotaryParameters, tuned: bool = True, timestep: float | None = None
+) -> Machine:
+    """An axis built and commissioned. Raises Unmovable where motor or drive cannot move it."""
+    timestep = physics_step(timestep, model.cycle_time["velocity"])
+    machine = Machine(_plant(p, model, timestep), {"x": model})
+    _commission(machine, p, tuned)
+    return machine
+
+
 def _would_do(drive: DriveModel, p: RotaryParameters) -> str:
     """Which inertia, and which gear ratio, this motor takes."""
 
     def moves(**changed: float) -> bool:
         other = replace(p, **changed)  # type: ignore[arg-type]
-        machine = Machine(_plant(other, drive, drive.cycle_time["velocity"]), {"x": drive})
-        try:
-            _commission(machine, other, True)
-        except Unmovable:
-            return False
-        return True
+        return movable(lambda: _made(drive, other))
 
     carried = largest(lambda inertia: moves(inertia=inertia), p.inertia)
     higher = first(FINER, lambda factor: moves(gear_ratio=p.gear_ratio * factor))
@@ -141,7 +140,6 @@ def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
         machine, "x", max_velocity=p.max_velocity, max_acceleration=p.max_acceleration,
         position_unit=p.unit, tuned=tuned,
     )
-    coupling = machine.couplings[0]
     own_units.commission(
         x,
         {
@@ -150,9 +148,7 @@ def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
             "homing_method": 23,
             "home_offset": 0,
         },
-        abs(float(coupling.gear)) * p.unit,
+        abs(machine.joint("x")[0]) * p.unit,
     )
-    if tuned:
-        return
-    place = machine.model, machine.data, int(coupling.dof), float(coupling.gear)
-    tune(x, inertia_at_shaft(*place), inertia_of_motor_side(*place))
+    if not tuned:
+        x.commission(gains(x, *inertias(machine, "x")))

@@ -14,7 +14,7 @@ the plant as the model has it (`shaft`), in the ranges of the drive's own object
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -70,13 +70,25 @@ def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear:
     return float(mass[dof, dof]) / gear**2
 
 
-def inertia_of_motor_side(
-    model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear: float
-) -> float:
-    """Inertia a sudden torque feels (kg·m²), what is behind springs left out."""
+def inertias(machine: Machine, name: str) -> tuple[float, float]:
+    """Inertia at the motor shaft of a drive (kg·m²), and the part of it before any spring.
+
+    A sudden torque only accelerates that part.
+    """
+    model, data, coupling = machine.model, machine.data, machine.coupling(name)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    return 1.0 / float(np.linalg.inv(mass)[dof, dof]) / gear**2
+    motor_side = 1.0 / float(np.linalg.inv(mass)[coupling.dof, coupling.dof]) / coupling.gear**2
+    return inertia_at_shaft(model, data, coupling.dof, coupling.gear), motor_side
+
+
+def movable(make: Callable[[], object]) -> bool:
+    """Whether a machine can be commissioned: its motor and its drive can move the load."""
+    try:
+        make()
+    except Unmovable:
+        return False
+    return True
 
 
 def rule(drive: Drive, inertia: float, motor_side: float | None = None) -> Gains:

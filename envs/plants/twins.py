@@ -112,6 +112,19 @@ class Twin:
         return machine
 
 
+def machine_of(
+    folder: str | Path, make: Callable[..., Machine], drive: str | Path | DriveModel
+) -> Machine:
+    """The machine of a twin that `make` builds; the drive "generic" stands for that of the twin.
+
+    Raises ValueError for another kind of machine, and as `read`.
+    """
+    twin = read(folder)
+    if twin.builder != make.__name__:
+        raise ValueError(f"twin = {str(folder)!r} is a {twin.builder}, no {make.__name__}")
+    return twin.machine(make, None if drive == "generic" else drive)
+
+
 def read(folder: str | Path) -> Twin:
     """The twin in a folder that `servogym twin` has written.
 
