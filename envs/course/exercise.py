@@ -42,7 +42,7 @@ goal asks for.
 """
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,32 +50,23 @@ from typing import Any
 from ...drive.model.files import content
 from ...drive.model.names import hint
 from ..engine.machine import Machine
+from ..engine.parameters import PARAMETERS, Joint
 from .condition import any_of, check
 
 SHIPPED = Path(__file__).parent / "exercises"
 
 
-def _set_drag(machine: Machine, axis: int, value: float) -> None:
-    machine.mechanics["chain_drag"][axis] = value
-
-
-def _set_friction(machine: Machine, axis: int, value: float) -> None:
-    machine.couplings["friction"][axis] = value
-
-
-def _set_noise(machine: Machine, axis: int, value: float) -> None:
-    coupling = machine.couplings[axis]
-    coupling.noise = value
-    if not coupling.noise_state:
-        coupling.noise_state = 0x9E3779B97F4A7C15 + axis  # its generator is never at 0
-
-
-# what an exercise may put in an axis' way (N or Nm), and what ails its encoder (m or rad)
-DISTURBANCES: dict[str, Callable[[Machine, int, float], None]] = {
-    "cable_drag": _set_drag,
-    "friction": _set_friction,
-    "encoder_noise": _set_noise,
+# disturbances of an axis by name, and the parameters of the machine that they set
+DISTURBANCES = {
+    "cable_drag": "chain_drag",  # N or Nm
+    "friction": "coulomb_friction",  # N or Nm
+    "encoder_noise": "encoder_noise",  # m or rad
 }
+
+
+def disturb(machine: Machine, axis: str, name: str, value: float) -> None:
+    """Set the size of a disturbance of an axis, a key of `DISTURBANCES`."""
+    PARAMETERS[DISTURBANCES[name]].set(Joint(machine, axis), value)
 
 
 @dataclass(frozen=True)
@@ -98,13 +89,13 @@ class Begin:
         """Apply the changes. Raises ValueError for anything that the machine cannot do."""
         if self.positions:
             machine.reset(positions=self.positions)
-        drive, number = machine.drives[axis], machine.number(axis)
+        drive = machine.drives[axis]
         for name, value in self.write.items():
             drive.commission({name: value})
         for cause in self.inject:
             drive.inject(cause)
         for name, value in self.disturb.items():
-            DISTURBANCES[name](machine, number, value)
+            disturb(machine, axis, name, value)
 
 
 @dataclass(frozen=True)

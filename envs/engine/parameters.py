@@ -1,33 +1,33 @@
 """The parameters of a machine: one name, one unit, one range each, set without building it anew.
 
-Randomisation, twins and what fits them speak these names. Those of the second table count in shares
-of what the machine was built with, `randomisation` has them.
+Randomisation, twins and their fits use these names. `servogym.envs.variation.randomisation` adds
+names that count in shares of the nominal value.
 
 A parameter belongs to one drive and its joint. "m" stands for m (slide) or rad (hinge), "N" for N
-or Nm. One is *there* in a machine if it can act: a stiffness needs the spring, the inclination a
-machine whose axis is not vertical by itself.
+or Nm. A machine *has* a parameter if it can act there: a stiffness needs the spring, an inclination
+needs an axis that travels along X.
 
 | name | unit | meaning |
 |------|------|---------|
 | payload | kg | mass of the body ``payload`` |
 | carriage_mass | kg | mass of the body ``carriage`` |
-| inertia | kg·m² | of a body that turns about the joint of the drive |
+| inertia | kg·m² | of the body that turns about the joint of the drive |
 | rotor_inertia | kg·m² | at the motor shaft, with coupling, pulleys, spindle |
 | coulomb_friction | N | dry friction |
-| viscous_friction | N·s/m | friction in proportion to the speed |
+| viscous_friction | N·s/m | friction proportional to the speed |
 | static_friction | N | at standstill, not below the Coulomb friction |
-| stribeck_velocity | m/s | where the friction has come down by 63 % |
+| stribeck_velocity | m/s | at which the friction has fallen by 63 % |
 | inclination | degree | of a linear axis; 90: upwards |
 | load_force | N | constant, in the positive direction |
-| feed_constant | m | of travel a motor revolution |
+| feed_constant | m | travel per motor revolution |
 | load_stiffness, load_damping | N/m, N·s/m | between carriage and payload |
 | transmission_stiffness, transmission_damping | N/m, N·s/m | between motor side and carriage |
 | backlash | m | whole gap of the transmission |
 | efficiency | share | of the gear before the transmission |
-| cogging_torque, cogging_order | Nm, periods a revolution | at the shaft |
-| torque_ripple, ripple_order | share, periods a revolution | of the motor torque |
+| cogging_torque, cogging_order | Nm, periods per revolution | at the shaft |
+| torque_ripple, ripple_order | share, periods per revolution | of the motor torque |
 | chain_drag, chain_drag_growth | N, N/m | cable chain |
-| torque_constant | share | torque of the motor over what the drive takes it for |
+| torque_constant | share | torque of the motor over the torque that the drive assumes |
 | velocity_gain | Nm·s/rad | of the velocity controller |
 | integral_time | s | of the velocity controller |
 | position_gain | 1/s | of the position controller |
@@ -35,9 +35,9 @@ machine whose axis is not vertical by itself.
 | velocity_feed_forward | share | of the demand |
 | acceleration_feed_forward | kg·m² | of the demand |
 | pid_gain, pid_integral_gain, pid_derivative_gain | Nm/rad, by s | of a PID for the position |
-| motor_resistance, supply_voltage | Ohm, V | what the voltage leaves at speed |
+| motor_resistance, supply_voltage | Ohm, V | limit the torque at speed |
 | torque_time_constant | s | of the closed current loop |
-| delay | position cycles | of an RPDO on its way to the drives, all of them |
+| delay | position cycles | of an RPDO on its way to all drives |
 | encoder_noise | m | standard deviation of the measured position |
 """
 
@@ -57,11 +57,11 @@ PAYLOAD, CARRIAGE, LOAD = "payload", "carriage", "load"
 
 
 class Joint:
-    """A drive and what it moves, with the parts of the model that parameters change.
+    """A drive and its joint, with the parts of the model that parameters change.
 
     Args:
-        machine: that has them.
-        name: of the drive; the first if not given.
+        machine: the machine of the drive.
+        name: name of the drive; by default the first one.
     """
 
     def __init__(self, machine: Machine, name: str | None = None):
@@ -72,21 +72,21 @@ class Joint:
         self.coupling: Any = machine.couplings[number]
         self.mechanics: Any = machine.mechanics[number]
         self.unit = machine.joint(name)[1]
-        self._inertia: dict[int, np.ndarray] = {}  # of bodies per kg, as they were at first
+        self._inertia: dict[int, np.ndarray] = {}  # original inertia of bodies, per kg
 
     @property
     def model(self) -> mujoco.MjModel:
-        """MuJoCo model of the machine; loads its state first if the model is shared."""
+        """The MuJoCo model of the machine; a shared one takes over its values first."""
         return self.machine.model
 
     @property
     def gear(self) -> float:
-        """Rad of motor shaft per m or rad."""
+        """Gear of the drive (rad of motor shaft per m or rad of joint)."""
         return float(self.coupling.gear)
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Set parameters by name, unchecked; where everything is and how it moves stays."""
-        # a static friction is kept as a ratio to the Coulomb one, which therefore comes first
+        """Set parameters by name, unchecked; positions and speeds of the machine stay."""
+        # the static friction is stored as a ratio to the Coulomb friction, which comes first
         for name in sorted(values, key=lambda each: each == "static_friction"):
             PARAMETERS[name].set(self, float(values[name]))
         if any(PARAMETERS[name].derives for name in values):
@@ -98,7 +98,7 @@ class Joint:
             mujoco.mj_fwdPosition(model, data)
 
     def body(self, name: str) -> int:
-        """Number of a body, -1 if there is none."""
+        """Number of a body by its name, -1 if there is none."""
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name))
 
     def mass(self, name: str) -> float:
@@ -107,53 +107,49 @@ class Joint:
         return float(self.model.body_mass[body]) if body >= 0 else 0.0
 
     def set_mass(self, name: str, mass: float) -> None:
-        """Give a body a mass, and the inertia in proportion."""
+        """Set the mass of a body (kg), and its inertia in proportion."""
         body, model = self.body(name), self.model
-        if body not in self._inertia:  # values that are set again and again leave no trace
+        if body not in self._inertia:  # so that rounding does not accumulate
             self._inertia[body] = model.body_inertia[body] / model.body_mass[body]
         model.body_inertia[body] = mass * self._inertia[body]
         model.body_mass[body] = mass
 
     def spring(self, name: str) -> int:
-        """Number of the joint that is a spring, -1 if there is none."""
+        """Number of the spring joint of the load or the transmission, -1 if there is none."""
         if name != LOAD:
             return int(self.mechanics.elastic_joint) if self.mechanics.guide >= 0 else -1
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name))
 
     @property
     def turning(self) -> int:
-        """Number of the last body on the joint of a rotary drive, -1 of a slide."""
+        """Number of the last body on the joint of a rotary drive, -1 for a slide."""
         joint = self.model.dof_jntid[self.coupling.dof]
         if self.unit != "rad":
             return -1
         body = int(self.model.jnt_bodyid[joint])
         if self.mechanics.guide >= 0:
             return body + 1
-        model = self.model  # what is fixed to it turns with it: that which has the inertia
+        model = self.model  # of the bodies that turn together, the one with the inertia
         fixed = np.flatnonzero(model.body_weldid == model.body_weldid[body])
         return int(fixed[np.argmax(model.body_inertia[fixed, 2])])
 
 
 class Parameter(NamedTuple):
-    """A row of the table."""
+    """A row of the table: its unit and range, how it is read and set, and which joints have it."""
 
     unit: str
     low: float
     high: float
     get: Callable[[Joint], float]
     set: Callable[[Joint, float], None]
-    there: Callable[[Joint], bool]
+    there: Callable[[Joint], bool] = lambda joint: True
     derives: bool = False  # MuJoCo derives other values of the model from it
-
-
-def _always(joint: Joint) -> bool:
-    return True
 
 
 def _at(
     place: Callable[[Joint], tuple[Any, Any]], factor: Callable[[Joint], float] = lambda joint: 1.0
 ) -> tuple[Callable, Callable]:
-    """A number in an array or record, ``place(joint) = (array, index)``, in units of `factor`."""
+    """Accessors of a number, ``place(joint) = (array, index)``, in units of `factor`."""
 
     def get(joint: Joint) -> float:
         array, index = place(joint)
@@ -167,7 +163,7 @@ def _at(
 
 
 def _field(name: str) -> tuple[Callable, Callable]:
-    """A field of MECHANICS."""
+    """Accessors of a field of MECHANICS."""
     return _at(lambda joint: (joint.mechanics, name))
 
 
@@ -194,7 +190,7 @@ def _spring(name: str, damping: bool) -> tuple[Callable, Callable, Callable]:
     return lambda joint: get(joint) if there(joint) else 0.0, put, there
 
 
-# as it is seen from the motor
+# as the motor feels it
 _rotor, _set_rotor = _at(
     lambda joint: (joint.model.dof_armature, joint.coupling.dof), lambda joint: joint.gear**2
 )
@@ -245,14 +241,17 @@ def _set_efficiency(joint: Joint, value: float) -> None:
     joint.mechanics.gear_loss = 1.0 / value - 1.0
 
 
-def _object(name: str, scale: Callable[[Any], float]) -> tuple[Callable, Callable, Callable]:
-    """A variable of the drive that counts in units of `scale`, whole ones."""
+def _object(name: str, unit: float | str) -> tuple[Callable, Callable, Callable]:
+    """Accessors of a variable of the drive; `unit`: its unit in SI, or the field that holds it."""
+
+    def scale(joint: Joint) -> float:
+        return float(joint.drive.axis[unit]) if isinstance(unit, str) else unit
 
     def get(joint: Joint) -> float:
-        return float(getattr(joint.drive.axis.od, name)) * scale(joint.drive.axis)
+        return float(getattr(joint.drive.axis.od, name)) * scale(joint)
 
     def assign(joint: Joint, value: float) -> None:
-        joint.drive.commission({name: value / scale(joint.drive.axis)})
+        joint.drive.commission({name: value / scale(joint)})
 
     return get, assign, lambda joint: joint.drive.model.positions
 
@@ -280,8 +279,8 @@ def _noise(joint: Joint) -> float:
 
 def _set_noise(joint: Joint, value: float) -> None:
     joint.coupling.noise = value
-    if joint.coupling.noise_state == 0:  # from which its generator would never get away
-        joint.coupling.noise_state = 1
+    if joint.coupling.noise_state == 0:  # its generator would stay at 0
+        joint.coupling.noise_state = joint.number + 1
 
 
 def _elastic(joint: Joint) -> bool:
@@ -295,74 +294,57 @@ PARAMETERS: dict[str, Parameter] = {
         "kg·m²", 1e-9, 1e6, *_at(lambda joint: (joint.model.body_inertia, (joint.turning, 2))),
         lambda joint: joint.turning >= 0, True,
     ),
-    "rotor_inertia": Parameter("kg·m²", 0.0, 10.0, _rotor, _set_rotor, _always, True),
-    "coulomb_friction": Parameter(
-        "N", 0.0, 1e5, *_at(lambda joint: (joint.coupling, "friction")), _always
-    ),
+    "rotor_inertia": Parameter("kg·m²", 0.0, 10.0, _rotor, _set_rotor, derives=True),
+    "coulomb_friction": Parameter("N", 0.0, 1e5, *_at(lambda joint: (joint.coupling, "friction"))),
     "viscous_friction": Parameter(
         "N·s/m", 0.0, 1e6, *_at(lambda joint: (joint.model.dof_damping, joint.coupling.dof)),
-        _always,
     ),
-    "static_friction": Parameter("N", 0.0, 1e5, _static, _set_static, _always),
-    "stribeck_velocity": Parameter("m/s", 1e-5, 10.0, *_field("stribeck_velocity"), _always),
+    "static_friction": Parameter("N", 0.0, 1e5, _static, _set_static),
+    "stribeck_velocity": Parameter("m/s", 1e-5, 10.0, *_field("stribeck_velocity")),
     "inclination": Parameter("degree", -90.0, 90.0, _inclination, _set_inclination, _along_x),
-    "load_force": Parameter("N", -1e5, 1e5, *_field("load_force"), _always),
-    "feed_constant": Parameter("m", 1e-5, 100.0, _feed, _set_feed, _always, True),
+    "load_force": Parameter("N", -1e5, 1e5, *_field("load_force")),
+    "feed_constant": Parameter("m", 1e-5, 100.0, _feed, _set_feed, derives=True),
     "load_stiffness": Parameter("N/m", 1.0, 1e9, *_spring(LOAD, False)),
     "load_damping": Parameter("N·s/m", 0.0, 1e6, *_spring(LOAD, True)),
     "transmission_stiffness": Parameter("N/m", 1.0, 1e10, *_spring("", False)),
     "transmission_damping": Parameter("N·s/m", 0.0, 1e7, *_spring("", True)),
     "backlash": Parameter("m", 0.0, 0.1, *_field("backlash"), _elastic),
     "efficiency": Parameter("share", 0.1, 1.0, _efficiency, _set_efficiency, _elastic),
-    "cogging_torque": Parameter("Nm", 0.0, 100.0, *_field("cogging_torque"), _always),
-    "cogging_order": Parameter(
-        "periods a revolution", 0.0, 1e4, *_field("cogging_order"), _always
-    ),
-    "torque_ripple": Parameter("share", 0.0, 0.5, *_field("torque_ripple"), _always),
-    "ripple_order": Parameter("periods a revolution", 0.0, 1e4, *_field("ripple_order"), _always),
-    "chain_drag": Parameter("N", 0.0, 1e4, *_field("chain_drag"), _always),
-    "chain_drag_growth": Parameter("N/m", 0.0, 1e5, *_field("chain_drag_growth"), _always),
+    "cogging_torque": Parameter("Nm", 0.0, 100.0, *_field("cogging_torque")),
+    "cogging_order": Parameter("periods per revolution", 0.0, 1e4, *_field("cogging_order")),
+    "torque_ripple": Parameter("share", 0.0, 0.5, *_field("torque_ripple")),
+    "ripple_order": Parameter("periods per revolution", 0.0, 1e4, *_field("ripple_order")),
+    "chain_drag": Parameter("N", 0.0, 1e4, *_field("chain_drag")),
+    "chain_drag_growth": Parameter("N/m", 0.0, 1e5, *_field("chain_drag_growth")),
     "torque_constant": Parameter(
         "share", 0.1, 10.0,
-        *_at(lambda joint: (joint.model.actuator_gainprm, (joint.coupling.ctrl, 0))), _always,
+        *_at(lambda joint: (joint.model.actuator_gainprm, (joint.coupling.ctrl, 0))),
     ),
     "velocity_gain": Parameter(
-        "Nm·s/rad", 0.0, 1e6,
-        *_object("velocity_control_gain", lambda axis: float(axis.velocity_gain_unit)),
+        "Nm·s/rad", 0.0, 1e6, *_object("velocity_control_gain", "velocity_gain_unit")
     ),
-    "integral_time": Parameter(
-        "s", 0.0, 60.0, *_object("velocity_control_time", lambda axis: 1e-6)
-    ),
+    "integral_time": Parameter("s", 0.0, 60.0, *_object("velocity_control_time", 1e-6)),
     "position_gain": Parameter(
-        "1/s", 0.0, 1e5,
-        *_object("position_control_gain", lambda axis: float(axis.position_gain_unit)),
+        "1/s", 0.0, 1e5, *_object("position_control_gain", "position_gain_unit")
     ),
-    "velocity_filter_time": Parameter(
-        "s", 0.0, 0.06, *_object("velocity_filter_time", lambda axis: 1e-6)
-    ),
-    "velocity_feed_forward": Parameter(
-        "share", 0.0, 2.0, *_object("velocity_feed_forward", lambda axis: 1e-3)
-    ),
+    "velocity_filter_time": Parameter("s", 0.0, 0.06, *_object("velocity_filter_time", 1e-6)),
+    "velocity_feed_forward": Parameter("share", 0.0, 2.0, *_object("velocity_feed_forward", 1e-3)),
     "acceleration_feed_forward": Parameter(
-        "kg·m²", 0.0, 4.0, *_object("acceleration_feed_forward", lambda axis: 1e-9)
+        "kg·m²", 0.0, 4.0, *_object("acceleration_feed_forward", 1e-9)
     ),
-    "pid_gain": Parameter("Nm/rad", 0.0, 4e3, *_object("pid_gain", lambda axis: 1e-6)),
-    "pid_integral_gain": Parameter(
-        "Nm/(rad·s)", 0.0, 4e6, *_object("pid_integral_gain", lambda axis: 1e-3)
-    ),
-    "pid_derivative_gain": Parameter(
-        "Nm·s/rad", 0.0, 4e3, *_object("pid_derivative_gain", lambda axis: 1e-6)
-    ),
-    "motor_resistance": Parameter("Ohm", 0.0, 4e3, *_object("motor_resistance", lambda axis: 1e-6)),
-    "supply_voltage": Parameter("V", 1.0, 2e3, *_object("supply_voltage", lambda axis: 1e-3)),
-    "torque_time_constant": Parameter("s", 0.0, 0.1, _lag, _set_lag, _always),
-    "delay": Parameter("position cycles", 0.0, 1000.0, _delay, _set_delay, _always),
-    "encoder_noise": Parameter("m", 0.0, 1e-2, _noise, _set_noise, _always),
+    "pid_gain": Parameter("Nm/rad", 0.0, 4e3, *_object("pid_gain", 1e-6)),
+    "pid_integral_gain": Parameter("Nm/(rad·s)", 0.0, 4e6, *_object("pid_integral_gain", 1e-3)),
+    "pid_derivative_gain": Parameter("Nm·s/rad", 0.0, 4e3, *_object("pid_derivative_gain", 1e-6)),
+    "motor_resistance": Parameter("Ohm", 0.0, 4e3, *_object("motor_resistance", 1e-6)),
+    "supply_voltage": Parameter("V", 1.0, 2e3, *_object("supply_voltage", 1e-3)),
+    "torque_time_constant": Parameter("s", 0.0, 0.1, _lag, _set_lag),
+    "delay": Parameter("position cycles", 0.0, 1000.0, _delay, _set_delay),
+    "encoder_noise": Parameter("m", 0.0, 1e-2, _noise, _set_noise),
 }
 
 
 def known(joint: Joint, name: str) -> Parameter:
-    """The row of a parameter that is there. Raises ValueError for another name."""
+    """The row of a parameter. Raises ValueError for a name that the machine does not have."""
     if name not in PARAMETERS:
         raise ValueError(f"there is no parameter {name!r}: {hint(name, PARAMETERS)}")
     row = PARAMETERS[name]
@@ -386,21 +368,21 @@ def unit(joint: Joint, name: str) -> str:
 
 
 def get(machine: Machine, names: Iterable[str], drive: str | None = None) -> dict[str, float]:
-    """Values of parameters by name. Raises ValueError for one that is not there."""
+    """Values of parameters by name. Raises ValueError for a name the machine does not have."""
     joint = Joint(machine, drive)
     return {name: known(joint, name).get(joint) for name in names}
 
 
 def apply(machine: Machine, values: Mapping[str, float], drive: str | None = None) -> None:
-    """Set parameters of a drive and its joint by name; the machine is to be at rest.
+    """Set parameters of a drive and its joint by name; the machine has to be at rest.
 
     Args:
-        machine: whose they are.
-        values: by name.
-        drive: its name; the first if not given.
+        machine: the machine of the drive.
+        values: values by the names of the table, in its units.
+        drive: name of the drive; by default the first one.
 
     Raises:
-        ValueError: a name that is not there, a value out of its range; nothing has changed.
+        ValueError: a name the machine does not have, or a value out of range; nothing is changed.
     """
     joint = Joint(machine, drive)
     rows = {name: known(joint, name) for name in values}

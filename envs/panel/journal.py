@@ -15,15 +15,11 @@ from typing import Any
 
 from ...drive.objects.abort import SdoAbort
 from ..course.attempt import Attempt
-from ..course.exercise import DISTURBANCES, Exercise
+from ..course.exercise import Exercise, disturb
 from ..engine.machine import Machine
 from ..plants.catalogue import fresh
 
 FORM = "servogym run 1"
-
-
-def _ail(machine: Machine, axis: str, name: str, value: float) -> None:
-    DISTURBANCES[name](machine, [*machine.drives].index(axis), value)
 
 
 def _parameters(machine: Machine, axis: str, content: str) -> str:
@@ -37,7 +33,7 @@ ACTS: dict[str, Callable[..., Any]] = {
     "parameters": _parameters,
     "inject": lambda machine, axis, cause: machine.drives[axis].inject(cause),
     "clear": lambda machine, axis: machine.drives[axis].clear_injected(),
-    "ail": _ail,
+    "ail": disturb,
 }
 # actions on the attempt instead of the machine
 ANSWERS: dict[str, Callable[..., Any]] = {
