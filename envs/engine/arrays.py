@@ -1,7 +1,7 @@
-"""Arrays of the physics by the WORLD that tells where they lie, in the precision that it has.
+"""Arrays of the physics, found through a WORLD, in the precision of that world.
 
-MuJoCo's are of double precision. Those of a `SINGLE`, which mujoco-warp steps, are of single
-precision; what is computed between the steps is the same code for both.
+The arrays of MuJoCo have double precision, those of a `SINGLE`, which mujoco-warp steps, single
+precision. The code that runs between the steps is the same for both.
 """
 
 from typing import Any

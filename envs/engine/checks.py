@@ -1,4 +1,4 @@
-"""Arguments of a user: what is wrong is told with name, value, range and unit."""
+"""Checks of a user's arguments; the errors name argument, value, range and unit."""
 
 import functools
 import inspect
@@ -15,11 +15,11 @@ import numpy as np
 from ...drive.model.names import hint
 from ...drive.model.uncompiled import HOUSE
 
-THREADS = "SERVOGYM_THREADS"  # what an executor grants a worker
+THREADS = "SERVOGYM_THREADS"  # environment variable: threads granted to this process
 
 
 def in_range(name: str, value: float, low: float, high: float, unit: str = "") -> float:
-    """`value` as a float. Raises ValueError naming it, its range and its unit."""
+    """Return `value` as a float. Raises ValueError with name, value, range and unit."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -30,14 +30,14 @@ def in_range(name: str, value: float, low: float, high: float, unit: str = "") -
 
 
 def ranged(default: float | None, low: float, high: float, unit: str) -> Any:
-    """A number of a dataclass of parameters with its range; see `check_fields`."""
+    """Declare a number with a range in a dataclass of parameters; see `check_fields`."""
     return field(default=default, metadata={"range": (low, high, unit)})
 
 
 def check_fields(parameters: Any) -> None:
-    """See that `ranged` fields are in their range, or None where that is the default, others flags.
+    """Raise ValueError for a `ranged` field out of its range, or another one that is no flag.
 
-    Raises ValueError naming field, value, range and unit.
+    A ranged field whose default is None may be None. The error names field, value, range and unit.
     """
     for each in fields(parameters):
         value = getattr(parameters, each.name)
@@ -51,9 +51,9 @@ def check_fields(parameters: Any) -> None:
 
 
 def changed(parameters: Any, values: Mapping[str, Any], what: str) -> Any:
-    """A dataclass of parameters with other `values`.
+    """Return a dataclass of parameters with other `values`.
 
-    Raises ValueError for a name that it lacks, calling it `what`.
+    Raises ValueError for a name that it lacks; the error calls the dataclass `what`.
     """
     names = [each.name for each in fields(parameters)]
     for name in values:
@@ -63,7 +63,7 @@ def changed(parameters: Any, values: Mapping[str, Any], what: str) -> Any:
 
 
 def whole(name: str, value: float, low: int, high: int) -> int:
-    """`value` as an int. Raises ValueError naming it and its range."""
+    """Return `value` as an int. Raises ValueError with name, value and range."""
     try:
         number = low - 1 if isinstance(value, bool) else int(value)
     except (TypeError, ValueError, OverflowError):
@@ -74,14 +74,14 @@ def whole(name: str, value: float, low: int, high: int) -> int:
 
 
 def flag(name: str, value: bool) -> bool:
-    """`value`, True or False. Raises ValueError naming it."""
+    """Return `value` as a bool. Raises ValueError with name and value."""
     if not isinstance(value, bool | np.bool_) and value not in (0, 1):
         raise ValueError(f"{name} = {value!r}: use True or False")
     return bool(value)
 
 
 def misfit(function: Any, *arguments: Any) -> str:
-    """Why it cannot be called so; empty where it can, or has no signature as compiled code."""
+    """Say why a function cannot be called so; empty if it can, or if it has no signature."""
     try:
         inspect.signature(function).bind(*arguments)
     except TypeError as error:
@@ -99,13 +99,13 @@ def cores() -> int:
 
 
 def threads() -> int:
-    """How many a vector takes where it is not told: what is granted, else one a core."""
+    """Number of threads of a vector by default: what is granted, otherwise one per core."""
     granted = os.environ.get(THREADS, "")
     return max(int(granted), 1) if granted.isdigit() else cores()
 
 
 def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
-    """`given`, one of `known`. Raises ValueError with the near ones."""
+    """Return `given` if it is one of `known`. Raises ValueError with similar names."""
     names = [str(each) for each in known]
     if not isinstance(given, str) or given not in names:
         raise ValueError(f"{name} = {given!r}: {hint(str(given), names)}")
@@ -115,11 +115,11 @@ def choice(name: str, given: Any, known: Iterable[Any]) -> Any:
 class UnknownArgument(TypeError):
     """An argument that an environment does not have.
 
-    It reads as Python's own error does, because libraries look for these words: torchrl tries an
-    argument, and leaves it out where it is an unexpected one.
+    Its text is that of Python's own error, because libraries look for these words: torchrl tries an
+    argument and omits it if it is unexpected.
     """
 
-    words = ""  # the same to a person
+    words = ""  # the message for people
 
 
 def refuse_unknown(task: type, arguments: Iterable[str]) -> None:
@@ -135,7 +135,7 @@ def refuse_unknown(task: type, arguments: Iterable[str]) -> None:
 
 
 def words(error: BaseException) -> str:
-    """What an error says to a person, also where Gymnasium has put its own words around it."""
+    """Return the message of an error for people, without the words that Gymnasium adds."""
     own = getattr(error.__cause__ or error, "words", "")
     return own or str(error).partition(" was raised from the environment")[0]
 
@@ -176,7 +176,7 @@ class Options(UserDict[str, Any]):
 
 
 def place_of(error: BaseException) -> str:
-    """File and line of a user's own code where an error came from; empty if it is not theirs."""
+    """File and line of the user's own code that raised an error; empty for any other code."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}, line {error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
@@ -186,7 +186,7 @@ def place_of(error: BaseException) -> str:
 
 
 def error_line(error: BaseException) -> str:
-    """An error in a line: kind, what it says, and where in a user's own code it came from."""
+    """An error in one line: its place in the user's own code, its class and its message."""
     place = place_of(error)
     text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
     return f"{place + ': ' if place else ''}{type(error).__name__}: {text}"
@@ -194,7 +194,7 @@ def error_line(error: BaseException) -> str:
 
 @functools.cache
 def accepted(task: type) -> dict[str, inspect.Parameter]:
-    """The arguments of a task by name: of its own, and of the bases it hands what else it gets."""
+    """The arguments of a task by name, including those it passes on to its base classes."""
     found: dict[str, inspect.Parameter] = {}
     for kind in task.__mro__:
         if "__init__" not in vars(kind):

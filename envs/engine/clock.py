@@ -36,7 +36,7 @@ ask:
 
 
 class _Clock:
-    """The context in which the calling thread has no clock; a thread does not enter it twice."""
+    """A context in which MuJoCo's clock returns 0 to the calling thread; it is not re-entrant."""
 
     def __init__(self) -> None:
         self._read = ctypes.c_void_p.in_dll(ctypes.CDLL(LIBRARY), "mjcb_time")

@@ -1,4 +1,4 @@
-"""What couples a drive with a joint: the actuator between them, its switches and its brake."""
+"""Couples a drive with a joint: the actuator between them, its switches and its brake."""
 
 from typing import Any
 
@@ -13,17 +13,19 @@ SWITCHES = ("negative_limit_switch", "positive_limit_switch", "home_switch")
 
 
 def unit(model: mujoco.MjModel, joint: int) -> str:
-    """Unit of the joint's position."""
+    """Unit of the position of a joint: "m" for a slide, "rad" for a hinge."""
     return "m" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
 
 
 def couple(model: mujoco.MjModel, name: str, drive: Drive, coupling: Any) -> None:
-    """Fill the row `coupling` (`world.COUPLING`) of the drive on actuator `name` of the model.
+    """Fill the COUPLING record of the drive on actuator `name` of the model.
 
-    The model's actuator loses its control range, the joint its friction: both are the loop's now.
+    The control range of the actuator and the friction of the joint are removed from the model,
+    because the loop applies them.
 
     Raises:
-        ValueError: the actuator is not a plain motor on a slide or hinge, cycles do not fit.
+        ValueError: the actuator is not a plain motor on a slide or hinge, or the velocity cycle is
+            not a whole multiple of the physics step.
     """
     number = actuator_of(model, name)
     joint = model.actuator_trnid[number, 0]

@@ -1,20 +1,20 @@
 """Dry friction of driven joints: the force that stops them within the physics step, clipped.
 
-Between the two halves of a step MuJoCo knows the acceleration the joints would have without
-friction. What would leave a joint at rest at the end of the step is then one division::
+Between the two halves of a step MuJoCo knows the acceleration that the joints would have without
+friction. The force that leaves a joint at rest at the end of the step then takes one division::
 
     force = clip(-(velocity + timestep · acceleration) / (timestep · compliance), ±limit)
 
-so a joint that is pulled with less than the limit does not move at all, and the force never does
-work on it. `compliance` is J M⁻¹ Jᵀ, what a force of 1 N accelerates, J the direction of the
-friction: of the driven joint, or of the guide of an elastic transmission. Joints that the mass
-matrix couples take each other's forces into account: one sweep of projected Gauss-Seidel a step,
-begun with the forces of the last one (as in Catto, Iterative Dynamics with Temporal Coherence,
-2005). What end stops, contacts and equalities add is known only after the step; that of the step
-before stands for it.
+A joint that is pulled with less than the limit therefore does not move at all, and the friction
+never drives it. `compliance` is J M⁻¹ Jᵀ, the acceleration by a force of 1 N; J is the direction of
+the friction, that of the driven joint or of the guide of an elastic transmission. For joints that
+the mass matrix couples, each step makes one sweep of projected Gauss-Seidel, which begins with the
+forces of the step before (as in Catto, Iterative Dynamics with Temporal Coherence, 2005). The
+forces of end stops, contacts and equalities are known only after the step; those of the step before
+are used instead.
 
 The limit is Coulomb's, Stribeck's, or the holding brake's: `mechanics.run` sets it. The force goes
-into ``qfrc_passive``. Beside MuJoCo's own friction constraint it costs a third and does not creep.
+into ``qfrc_passive``. It costs a third of MuJoCo's own friction constraint and does not creep.
 """
 
 from ...drive.kernel.jit import block
@@ -25,7 +25,7 @@ from .physics import mj_fwd_acceleration, mj_fwd_actuation, mj_solve_m
 
 @block
 def limited(joints):
-    """Whether there is any friction in this step."""
+    """Whether a joint has friction in this step."""
     for i in range(len(joints)):
         if joints[i].friction_limit[CARRIAGE] > 0.0 or joints[i].friction_limit[MOTOR] > 0.0:
             return True
@@ -34,7 +34,7 @@ def limited(joints):
 
 @block
 def _along(vector, place, coupling, m):
-    """What a vector over the degrees of freedom is in the direction of a friction."""
+    """Component of a vector over the degrees of freedom in the direction of a friction."""
     value = vector[coupling.dof]
     if place == CARRIAGE and m.guide >= 0:
         value += vector[m.elastic_dof]
@@ -43,13 +43,13 @@ def _along(vector, place, coupling, m):
 
 @block
 def response(world, i, place):
-    """Accelerations that a friction of 1 N gives to all degrees of freedom."""
+    """Accelerations of all degrees of freedom by a friction force of 1 N."""
     return reals_at(world, world.responses + (PLACES * i + place) * world.response_row, world.nv)
 
 
 @block
 def stick(world):
-    """Add the friction of all driven joints to the passive forces, between the halves of a step."""
+    """Add the friction of all driven joints to the passive forces, between the two half-steps."""
     mj_fwd_actuation(world.mj_model, world.mj_data)
     mj_fwd_acceleration(world.mj_model, world.mj_data)
     joints = mechanics_at(world.mechanics, world.drives)
@@ -64,7 +64,7 @@ def stick(world):
 
 @block
 def grip(world):
-    """The part of `stick` that needs nothing of MuJoCo but its arrays."""
+    """The part of `stick` that only needs arrays: the forces that hold the joints."""
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
     qvel = velocities(world)
@@ -102,7 +102,7 @@ def _grip(world, coupling, m, i, place, qvel, acceleration):
 
 @block
 def remember(world, couplings, joints):
-    """Note what constraints have added to the acceleration of this step, for the next one."""
+    """Record the acceleration that constraints added in this step, for the next one."""
     smooth = reals_at(world, world.smooth_acceleration, world.nv)
     final = reals_at(world, world.acceleration, world.nv)
     for i in range(len(joints)):

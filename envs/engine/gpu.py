@@ -27,12 +27,12 @@ from ...drive.memory import integers_at, viewer
 from . import arrays, friction, parts, tick
 from .parts import PARTS
 
-VIEWS: tuple[Any, ...] = (  # blocks whose result is an array
+VIEWS: tuple[Any, ...] = (  # blocks that return an array
     arrays.positions, arrays.velocities, tick.coordinates, tick.speeds, parts.controls,
     friction.response,
 )
 HOPPER = (9, 0)  # compute capability of an H100 or H200
-THREADS = 32  # of a block: 4096 machines are a block for each multiprocessor (not measured)
+THREADS = 32  # per block: 4096 machines make a block for each multiprocessor (not measured)
 ENTRY = "servogym"
 
 
@@ -279,7 +279,7 @@ def _cuda() -> Any:
             return lambda values, index: values[index.value]
         return None
 
-    for view in VIEWS:  # else it refuses an array as a result; these own nothing
+    for view in VIEWS:  # numba-cuda refuses arrays as results; inlined, these return none
         options = view.targetoptions | {"device": True, "debug": False, "opt": True}
         dispatcher = cuda.dispatcher.CUDADispatcher(view.py_func, options | {"inline": "always"})
         view._CUDATypingContext__dispatcher = dispatcher

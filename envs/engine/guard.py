@@ -19,7 +19,7 @@ from .physics import EMPTY, LIBRARY
 
 ERROR_SIZE = 1000
 
-# What the loop is called for: the arguments of `loop.run`, and the first machine that refused.
+# A call of the loop: the arguments of `loop.run`, its progress, and the first machine that refused.
 JOB = np.dtype(
     [
         ("worlds", "i8"),  # addresses of the arrays, and their sizes
@@ -29,11 +29,11 @@ JOB = np.dtype(
         ("rpdo_bytes", "i8"),
         ("tpdos", "i8"),
         ("tpdo_bytes", "i8"),
-        ("refused", "i8"),  # address of its WORLD; 0: none has
-        ("status", "i8"),  # why, `loop.Status`
+        ("refused", "i8"),  # address of the WORLD of that machine; 0: none has refused
+        ("status", "i8"),  # the reason, `loop.Status`
         ("row", "i8"),  # machine and physics step at which the next piece begins
         ("tick", "i8"),
-        ("paced", "i8"),  # address of the WORLD whose pace holds
+        ("paced", "i8"),  # address of the WORLD whose pace applies
     ]
 )
 
@@ -45,7 +45,7 @@ class _Config(ctypes.Structure):
 
 
 class _Batch:
-    """A batch of one empty simulation, on the calling thread."""
+    """A batch of one empty simulation that runs on the calling thread."""
 
     def __init__(self) -> None:
         library: Any = ctypes.CDLL(LIBRARY)

@@ -1,9 +1,9 @@
 """The inner loop: drives and physics of any number of machines, compiled, without Python in it.
 
-Every physics tick: each drive whose velocity cycle begins reads its shaft and switches, runs, and
-sets the torque of its actuator; then MuJoCo takes one step, in two halves between which the
-mechanics and the friction of the driven joints join the passive forces. When a coordinate is no
-longer finite the physics stops, and the drive's encoder fault says so.
+In every physics step, each drive whose velocity cycle begins reads its shaft and its switches,
+runs, and sets the torque of its actuator. MuJoCo then takes one step in two halves; between them
+the mechanics and the friction of the driven joints are added to the passive forces. If a coordinate
+is no longer finite, the physics stops, and the drive reports an encoder fault.
 """
 
 import time
@@ -42,8 +42,8 @@ from .probe import begin_step, probes_at
 from .tick import axes_at, coordinates, copy, couplings_at, mechanics_at, sense, speeds, world_at
 from .world import FIELD, WORLD
 
-BREATH = 0.02  # s, after which a long step lets Python see to Ctrl-C
-FIRST_PACE = 64  # physics steps, before it is known how long they take
+BREATH = 0.02  # s, after which a long step returns to Python, which handles Ctrl-C
+FIRST_PACE = 64  # physics steps of the first piece, before their duration is known
 
 
 class Status(IntEnum):
@@ -51,10 +51,10 @@ class Status(IntEnum):
 
     SOUND = 0
     RUNNING = 1
-    FAILED = 2  # MuJoCo left it in the middle of a step
-    MISFIT = 3  # a coupling names what the model does not have
-    MAPPING = 4  # the PDOs of its drives are not what the images are made of
-    OPTION = 5  # the timestep of the model is not that of its rates, or its integrator takes none
+    FAILED = 2  # MuJoCo left the machine in the middle of a step
+    MISFIT = 3  # a coupling refers to something that the model does not have
+    MAPPING = 4  # the PDOs of the drives do not match the process images
+    OPTION = 5  # the timestep or the integrator of the model has been changed
 
 
 SOUND, RUNNING, FAILED, MISFIT, MAPPING, OPTION = map(int, Status)
@@ -116,7 +116,7 @@ def _integrator(world):
 
 @block
 def _second_half(world):
-    """What `mj_step2` is made of, without the actuation, whose callbacks `stick` has called."""
+    """`mj_step2` without the actuation, whose callbacks `stick` has called already."""
     model, data = world.mj_model, world.mj_data
     mj_fwd_acceleration(model, data)
     mj_fwd_constraint(model, data)
@@ -133,7 +133,7 @@ def _second_half(world):
 
 @block
 def _as_made(world):
-    """Whether timestep and integrator of the model are such as the machine can step with."""
+    """Whether the timestep is unchanged and the integrator takes one step."""
     integrator = _integrator(world)
     one_step = 0 <= integrator <= LAST_INTEGRATOR and integrator != RK4
     return one_step and floats_at(world.option_timestep, 1)[0] == world.timestep
@@ -141,7 +141,7 @@ def _as_made(world):
 
 @block
 def _enter(address, world):
-    """Take over the MjModel and MjData that several machines share; who lived there is kept."""
+    """Take over the shared MjModel and MjData; the state of the machine before is saved."""
     if world.state == 0:
         return
     resident = integers_at(world.resident, 1)
@@ -158,7 +158,7 @@ def _enter(address, world):
 
 @rare
 def _move_fields(world, enters):
-    """Fields of MjModel, from what is kept of a world or to it."""
+    """Copy the saved fields of a world into its MjModel (`enters`), or back."""
     fields = fields_at(world.fields, world.field_count)
     kept = world.kept
     for i in range(len(fields)):
@@ -174,13 +174,13 @@ def _move_fields(world, enters):
 
 @entry
 def enter(worlds):
-    """Let the machine of the one world of `worlds` take over the MjData it shares."""
+    """Let the first machine of `worlds` take over the MjData it shares."""
     _enter(worlds[0], world_at(worlds[0], 1)[0])
 
 
 @block
 def _fits(world, couplings, joints):
-    """Whether all that is used as an index is one."""
+    """Whether all indices of the couplings, mechanics and probes are within their arrays."""
     for i in range(len(couplings)):
         coupling, m = couplings[i], joints[i]
         inside = 0 <= coupling.qpos < world.nq and 0 <= coupling.dof < world.nv
@@ -200,7 +200,7 @@ def _fits(world, couplings, joints):
 
 @block
 def _arrives(world, tick, ticks):
-    """Whether the RPDO image of the step that began at `tick` is latched."""
+    """Whether the RPDO image of the row that began at `tick` is latched."""
     if world.latches == 0:
         return True
     row = (tick - world.latches_from) // max(ticks, 1)
@@ -209,7 +209,7 @@ def _arrives(world, tick, ticks):
 
 @block
 def _advance(address, begin, end, ticks, rpdo, tpdo):
-    """Advance one machine from `begin` to `end` of a step of `ticks`; -> its `Status`."""
+    """Advance a machine from tick `begin` to `end` of a step of `ticks`; -> its `Status`."""
     world = world_at(address, 1)[0]
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
@@ -241,20 +241,20 @@ def _advance(address, begin, end, ticks, rpdo, tpdo):
     return SOUND if latched == len(rpdo) and collected == len(tpdo) else MAPPING
 
 
-DONE, FAULTY, MORE = range(3)  # what became of a piece
-EXCEPTION = -1  # instead of an address: an index out of a table of the drive
+DONE, FAULTY, MORE = range(3)  # result of a piece
+EXCEPTION = -1  # instead of an address: an index was outside a table of the drive
 
 
 @block
 def _present(worlds, row):
-    """The first row from `row` on that is not left out."""
+    """The first row from `row` on whose machine takes part."""
     while row < len(worlds) and worlds[row] == 0:
         row += 1
     return row
 
 
 def _all(job_address):
-    """What a JOB says, machine after machine, until a pace of physics steps is done."""
+    """Work on a JOB, machine after machine, for one pace of physics steps."""
     job = job_at(job_address, 1)[0]
     worlds = integers_at(job.worlds, job.count)
     job.row = _present(worlds, job.row)
@@ -284,7 +284,7 @@ def _all(job_address):
 
 @intrinsic
 def _protected(context, batch, job):
-    """``mjb_apply`` on `_all`; -> 1 if MuJoCo came back with an error."""
+    """Call `_all` through ``mjb_apply``; -> 1 if MuJoCo returned with an error."""
 
     def build(context, builder, signature, arguments):
         number, small, nothing = context.get_value_type(types.intp), ir.IntType(32), ir.VoidType()
@@ -317,7 +317,7 @@ protected: Any = _in_python if DISABLED else _protected
 
 @entry
 def _run(batch, job, worlds, ticks, rpdos, tpdos, further):
-    """Fill a JOB and do a piece of it, the first or a further one; -> DONE, MORE or FAULTY."""
+    """Fill a JOB and run its first or a further piece; -> DONE, MORE or FAULTY."""
     if not further:
         job[0].row, job[0].tick, job[0].paced, job[0].refused = 0, 0, 0, 0
     job[0].worlds, job[0].count, job[0].ticks = worlds.ctypes.data, len(worlds), ticks
@@ -334,23 +334,24 @@ def run(
 ) -> None:
     """Advance machines by `ticks` physics steps, exchanging the process images of their drives.
 
-    The caller has the turn of the machines and keeps them alive. Python comes in every 20 ms or so,
-    and sees to Ctrl-C; the machines then stand between two physics steps.
+    The caller holds the turn of the machines and keeps them alive. The loop returns to Python about
+    every 20 ms to handle Ctrl-C; the machines then stand between two physics steps.
 
     Args:
-        worlds: addresses of WORLD records, shape ``(n,)``; one that is 0 is left out.
+        worlds: addresses of WORLD records, shape ``(n,)``; rows with 0 are left out.
         ticks: physics steps.
-        rpdos: RPDO images, latched after the delay of their machine, shape ``(n, bytes)``; with
-            no bytes none is.
-        tpdos: takes the TPDO images at the end, shape ``(n, bytes)``; with no bytes none is.
-        stopped: is asked whether another thread wants this one to give up.
+        rpdos: RPDO images, latched after the delay of their machine, shape ``(n, bytes)``; without
+            bytes none is latched.
+        tpdos: receives the TPDO images at the end, shape ``(n, bytes)``; without bytes none is
+            collected.
+        stopped: returns whether another thread wants this one to give up.
 
     Raises:
         mujoco.FatalError: MuJoCo reports an error; that machine has to be reset.
-        Exception: what a callback of MuJoCo raised; that machine has to be reset.
-        RuntimeError: a machine has failed before, or its PDO mapping is no longer that of the
-            images; the others have been advanced. Or `stopped`.
-        ValueError: an index in the couplings or mechanics is none.
+        Exception: an exception of a MuJoCo callback; that machine has to be reset.
+        RuntimeError: a machine has failed before, or its PDO mapping no longer matches the images,
+            and the others have been advanced; or `stopped` returned True.
+        ValueError: an index in the couplings or mechanics is invalid.
     """
     job = guarded.job
     more = False
@@ -373,7 +374,7 @@ def run(
 
 
 def _settle_pace(place: int, passed: float) -> None:
-    """Fit the pace of the WORLD at an address to the time (s) that it took."""
+    """Adapt the pace of the WORLD at an address to the time (s) that a piece took."""
     world: Any = peek(WORLD, place, 1)[0]
     if passed > BREATH:
         world.pace = max(world.pace // 2, 1)
@@ -382,11 +383,11 @@ def _settle_pace(place: int, passed: float) -> None:
 
 
 def _piece(job, worlds: np.ndarray, ticks: int, rpdos, tpdos, further: bool) -> bool:
-    """Do as much as a pace allows; -> whether there is more."""
+    """Run a piece of the job; -> whether more is left."""
     guarded.running = True
     try:
         done = _run(guarded.address, job, worlds, ticks, rpdos, tpdos, further)
-    except SystemError as error:  # so Python reports what a callback left behind
+    except SystemError as error:  # the form in which Python reports the exception of a callback
         _stop(worlds)
         raise (error.__cause__ or error) from None
     except BaseException:  # without JIT
@@ -402,7 +403,7 @@ def _piece(job, worlds: np.ndarray, ticks: int, rpdos, tpdos, further: bool) -> 
 
 
 def _stop(worlds: np.ndarray) -> None:
-    """Mark the machine MuJoCo has left in the middle of a step, and free what it shares."""
+    """Mark the machine that MuJoCo left in the middle of a step, and release shared memory."""
     for place in filter(None, worlds.tolist()):
         world: Any = peek(WORLD, place, 1)[0]
         if world.status == RUNNING:
@@ -414,13 +415,13 @@ def _stop(worlds: np.ndarray) -> None:
 
 @entry
 def _abandon(model, data):
-    """Give MuJoCo's stack in MjData back; what is there now is of no machine."""
+    """Release the stack of MuJoCo in MjData, whose contents now belong to no machine."""
     mj_reset(model, data)
 
 
 @entry
 def settle(axes, couplings, joints, qpos):
-    """Set switches and their tolerance for the present positions, without history."""
+    """Set the switches and their scatter for the present positions, without history."""
     for i in range(len(axes)):
         m = joints[i]
         m.noise_state = m.switch_seed

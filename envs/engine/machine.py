@@ -79,8 +79,8 @@ class Machine:
     ) -> None:
         if not isinstance(model, mujoco.MjModel):
             raise TypeError(
-                f"model = {model!r:.80}: give a mujoco.MjModel; of a file or its text make the "
-                "machine by Machine.from_mjcf"
+                f"model = {model!r:.80}: give a mujoco.MjModel; for a file or its text use "
+                "Machine.from_mjcf"
             )
         if not drives:
             joints = [model.joint(i).name for i in range(model.njnt)]
@@ -89,8 +89,8 @@ class Machine:
             raise ValueError(f"drives is empty: name at least one actuator or joint of {named}")
         if model.opt.integrator not in loop.INTEGRATORS:
             raise ValueError(
-                f"integrator {_integrator(model)} is refused: RK4 takes several steps in one, "
-                'friction and drive act once in each; use integrator="implicitfast", or '
+                f"integrator {_integrator(model)} is refused: RK4 takes several steps in one, but "
+                'friction and drive act once per step; use integrator="implicitfast", or '
                 "Machine.from_mjcf, which sets it"
             )
         # A state that is not finite must reach the drive as a dead encoder, not vanish in a reset.
@@ -112,7 +112,7 @@ class Machine:
         self.reset()
 
     def _assemble(self, model: mujoco.MjModel, drives: dict[str, Drive]) -> None:
-        """Bring together what a machine consists of; the drives live in one array."""
+        """Set the parts of a machine; its drives are records of one array."""
         self._model, self._data = model, mujoco.MjData(model)
         self.drives = Drives(drives)
         self.axes = next(iter(drives.values())).axes
@@ -129,7 +129,7 @@ class Machine:
                 self._directory[f"{name}s"][i] = address(pdos)
                 self._directory[f"{name}_count"][i] = len(pdos)
         self._residence: Residence | None = None
-        # what lies where the loop looks lives as long as the machine, whatever becomes of its names
+        # arrays whose addresses the loop has live as long as the machine
         self._alive = [
             self.axes, self.couplings, self.mechanics, self.world, self._coordinates,
             self._directory, *((drive.rpdos, drive.tpdos) for drive in drives.values()),
@@ -141,7 +141,7 @@ class Machine:
         return f"{type(self).__name__}({drives}; cycle {cycle}, time {self.time:g} s)"
 
     def _settle(self) -> None:
-        """Tell the compiled loop where everything is."""
+        """Enter the addresses of all data in the WORLD, for the compiled loop."""
         world = self.world
         self._directions = mechanics.directions(self._model, self.couplings, self.mechanics)
         self._responses = np.zeros_like(self._directions)
@@ -170,7 +170,7 @@ class Machine:
 
     @property
     def data(self) -> mujoco.MjData:
-        """State of the physics. Its ``timer`` counts calls but no durations, see `clock`."""
+        """State of the physics. Its ``timer`` counts calls but not durations, see `clock`."""
         if self._residence:
             with self.turn:
                 loop.enter(self.addresses)
@@ -211,7 +211,7 @@ class Machine:
         self._settle()
 
     def probe(self) -> np.ndarray:
-        """PROBE records, one per drive, filled by the loop; `probe.begin` starts a recording."""
+        """Return PROBE records, one per drive, for the loop; `probe.begin` starts a recording."""
         self.probes = np.zeros(len(self.axes), record.accessible(PROBE))
         self.probes["jerk_ticks"] = 1
         self._alive.append(self.probes)
@@ -392,7 +392,7 @@ class Machine:
         """
         with self.turn:
             if self.world["status"][0] != loop.SOUND:
-                raise RuntimeError(f"there is nothing to keep: {loop.RESET}")
+                raise RuntimeError(f"no snapshot can be taken: {loop.RESET}")
             state = np.empty(mujoco.mj_stateSize(self.model, STATE))
             mujoco.mj_getState(self.model, self.data, state, STATE)
             fields = np.concatenate([array.ravel() for array in variable(self.model)])
@@ -432,7 +432,7 @@ class Machine:
             self.world["status"] = loop.SOUND
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy or a pickle is a machine of its own, as this one is now; probes are not kept."""
+        """A copy or a pickle is a machine of its own in the present state, without probes."""
         with self.turn:
             drives = {n: (d.model, d.node_id, d.parameters.file) for n, d in self.drives.items()}
             rates = self.cycle_time, self.physics_steps

@@ -16,29 +16,31 @@ end stops           ½ m v² at the moment of contact        measured only      
 ==================  =====================================  ==========================  ==========
 
 The friction law is Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994), eq. 4, with
-exponent 2. Friction of a gear grows with what it carries: the motor gives 1 / efficiency of the
-load when it drives and 2 - 1 / efficiency when it is driven, and a gear of 50 % or less locks
-itself (Niemann, Maschinenelemente, worm gears). Forces join ``qfrc_passive``; ``qfrc_applied`` and
-``xfrc_applied`` are the user's. An effect that is zero costs a comparison. The ``frictionloss`` of
-a driven joint, or of its guide, is moved to ``couplings.friction`` when the machine is made:
-MuJoCo's own would creep.
+exponent 2. The friction of a gear is proportional to its load: a driving motor supplies
+1 / efficiency of the load, a driven one 2 - 1 / efficiency, so a gear with an efficiency of 50 % or
+less is self-locking (Niemann, Maschinenelemente, worm gears).
 
-In the MJCF an effect is a custom numeric, ``<drive>.`` and the name above or one of the switches'::
+Forces are added to ``qfrc_passive``; ``qfrc_applied`` and ``xfrc_applied`` belong to the user. An
+effect that is zero costs one comparison. The ``frictionloss`` of a driven joint, or of its guide,
+is moved to ``couplings.friction`` when the machine is made, because MuJoCo's own friction would
+creep.
+
+In the MJCF an effect is a custom numeric: ``<drive>.`` and a name of the table or of the switches::
 
     <numeric name="x.stribeck" data="16 0.01"/>       static friction (N), Stribeck velocity (m/s)
     <numeric name="x.cable_chain" data="2 3"/>        N, N per m of travel
-    <numeric name="x.cogging" data="0.013 24"/>       Nm at the shaft, periods a revolution
-    <numeric name="x.torque_ripple" data="0.01 24"/>  share of the torque, periods a revolution
+    <numeric name="x.cogging" data="0.013 24"/>       Nm at the shaft, periods per revolution
+    <numeric name="x.torque_ripple" data="0.01 24"/>  share of the torque, periods per revolution
     <numeric name="x.backlash" data="20e-6"/>         m, the whole gap
     <numeric name="x.efficiency" data="0.9"/>         share, of the gear before the transmission
-    <numeric name="x.load_force" data="-3.2"/>        N, of a spring balancer or an offset; signed
-    <numeric name="x.switch_period" data="6.283"/>    m or rad, switches come again after it
+    <numeric name="x.load_force" data="-3.2"/>        N, such as a spring balancer; signed
+    <numeric name="x.switch_period" data="6.283"/>    m or rad, after which switches repeat
     <numeric name="x.switch_offset" data="0 0 1e-4"/> m; negative limit, positive limit, home
     <numeric name="x.switch_scatter" data="20e-6"/>   m, standard deviation, drawn at each release
 
-An elastic transmission is a joint between the motor side and the carriage. The fixed tendon
-``<drive>.guide``, the sum of both joints, is then where the carriage is: friction, end stops and
-switches belong to it.
+An elastic transmission is a joint between the motor side and the carriage. The position of the
+carriage is then the fixed tendon ``<drive>.guide``, the sum of both joints, to which friction, end
+stops and switches belong.
 """
 
 import math
@@ -50,7 +52,7 @@ from ...drive.kernel.jit import block, rare
 from ...drive.memory import viewer
 from .arrays import reals_at
 
-CARRIAGE, MOTOR = 0, 1  # where friction acts; MOTOR: the brake before an elastic transmission
+CARRIAGE, MOTOR = 0, 1  # where friction acts; MOTOR: brake and gear before an elastic transmission
 PLACES = 2
 
 # The mechanics of one driven joint. "m" stands for m (slide) or rad (hinge), "N" for N or Nm.
@@ -68,20 +70,20 @@ MECHANICS = np.dtype(
         ("chain_drag", "f8"),  # cable chain, constant part (N)
         ("chain_drag_growth", "f8"),  # and with the travel from the lower end stop (N/m)
         ("cogging_torque", "f8"),  # amplitude at the shaft (Nm)
-        ("cogging_order", "f8"),  # periods a motor revolution
+        ("cogging_order", "f8"),  # periods per motor revolution
         ("torque_ripple", "f8"),  # amplitude as a share of the motor torque
-        ("ripple_order", "f8"),  # periods a motor revolution
+        ("ripple_order", "f8"),  # periods per motor revolution
         ("backlash", "f8"),  # whole gap of the transmission (m)
         ("load_force", "f8"),  # constant force on the carriage (N)
-        ("gear_loss", "f8"),  # friction of the gear over what it carries; 0: none
-        ("switch_period", "f8"),  # switches of an axis without ends come again (m); 0: once
+        ("gear_loss", "f8"),  # friction of the gear over its load; 0: none
+        ("switch_period", "f8"),  # after which the switches of an endless axis repeat (m); 0: never
         ("friction_limit", "f8", (2,)),  # of this step (N), where it acts
         ("friction_force", "f8", (2,)),  # of the last step (N)
-        ("constraint", "f8", (2,)),  # what constraints added to the acceleration there (m/s²)
+        ("constraint", "f8", (2,)),  # acceleration added there by constraints (m/s²)
         ("switch_offset", "f8", (3,)),  # displacement of each switch (m)
-        ("switch_scatter", "f8"),  # standard deviation of where a switch answers (m)
-        ("switch_shift", "f8", (3,)),  # the present draw of it (m)
-        ("switch_seed", "u8"),  # its random numbers begin here after a reset; not 0
+        ("switch_scatter", "f8"),  # standard deviation of the switching point (m)
+        ("switch_shift", "f8", (3,)),  # its present value for each switch (m)
+        ("switch_seed", "u8"),  # seed of its random numbers after a reset; not 0
         ("noise_state", "u8"),
         ("stop", "i8"),  # -1, 1: touches the lower, the upper end stop
         ("impacts", "i8"),  # since the reset
@@ -94,7 +96,7 @@ MECHANICS = np.dtype(
 
 mechanics_at = viewer(MECHANICS)
 
-MEMORY = (  # zero by a reset
+MEMORY = (  # fields that a reset sets to 0
     "friction_limit", "friction_force", "constraint",
     "stop", "impacts", "impact_last", "impact_largest", "impact_sum",
 )
@@ -114,7 +116,7 @@ NUMERICS = {
 
 @block
 def run(world, axis, coupling, m, qpos, qvel):
-    """Set the limits of friction and add the other forces of one driven joint for this step."""
+    """Set the friction limits and add the other forces of a driven joint for this step."""
     position, velocity = qpos[coupling.qpos], qvel[coupling.dof]
     if m.cogging_torque != 0.0 or m.torque_ripple != 0.0:
         angle = position * coupling.gear
@@ -147,7 +149,7 @@ def run(world, axis, coupling, m, qpos, qvel):
 
 @block
 def watch(world, coupling, m, qpos, qvel):
-    """Measure the impact when the joint, or its carriage, has met an end stop in this step."""
+    """Measure the impact if the joint, or its carriage, met an end stop in this step."""
     position, velocity = qpos[coupling.qpos], qvel[coupling.dof]
     if m.guide >= 0:
         position += qpos[m.elastic_qpos]
@@ -162,7 +164,7 @@ def watch(world, coupling, m, qpos, qvel):
 
 @block
 def _backlash(world, m, deflection, velocity):
-    """Take back what spring and damper of the transmission do within the gap."""
+    """Cancel the force of spring and damper of the transmission within the gap."""
     half = 0.5 * m.backlash
     stiffness = reals_at(world, world.stiffness, m.elastic_joint + 1)[m.elastic_joint]
     force = stiffness * min(max(deflection, -half), half)
@@ -198,7 +200,7 @@ def carriage(m, coupling, qpos):
 
 
 def numeric(model: mujoco.MjModel, name: str, size: int) -> list[float]:
-    """Data of a custom numeric, empty where there is none."""
+    """Data of a custom numeric, empty without one. Raises ValueError for wrong data."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if number < 0:
         return []
@@ -223,7 +225,8 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
     """Fill the MECHANICS record `m` of drive `name` from its model, and its friction.
 
     Raises:
-        ValueError: a number out of range, a guide that is no sum of two joints, backlash without.
+        ValueError: a number out of range, a guide that is not the sum of two joints, or an effect
+            that needs an elastic transmission without one.
     """
     dof = int(coupling.dof)
     joint = model.dof_jntid[dof]
@@ -267,7 +270,7 @@ def fit(model: mujoco.MjModel, name: str, coupling, m) -> None:
 
 
 def _stribeck(name: str, coupling, m) -> None:
-    """The static friction came in N; it is kept as a ratio, so that it follows the Coulomb one."""
+    """Convert the static friction (N) to a ratio, so that it follows the Coulomb friction."""
     static, coulomb = float(m.static_ratio), float(coupling.friction)
     if static < coulomb or coulomb <= 0.0 or m.stribeck_velocity <= 0.0:
         raise ValueError(
@@ -279,7 +282,7 @@ def _stribeck(name: str, coupling, m) -> None:
 
 
 def _gear(name: str, m) -> None:
-    """The efficiency came as a share; it is kept as the loss over what is carried."""
+    """Convert the efficiency (share) to the loss over the load."""
     efficiency = float(m.gear_loss)
     if efficiency <= 0.0 or (efficiency < 1.0 and m.guide < 0):
         raise ValueError(
@@ -291,7 +294,7 @@ def _gear(name: str, m) -> None:
 
 
 def _other_joint(model: mujoco.MjModel, name: str, tendon: int, joint: int) -> int:
-    """The joint of the elastic transmission: the guide is the sum of the driven one and it."""
+    """The joint of the elastic transmission, which the guide adds to the driven joint."""
     first = model.tendon_adr[tendon]
     wraps = range(first, first + model.tendon_num[tendon])
     parts = {int(model.wrap_objid[i]): float(model.wrap_prm[i]) for i in wraps}

@@ -1,23 +1,23 @@
-"""Robots from outside: any MJCF made ready for drives, through `mujoco.MjSpec`.
+"""Prepares any MJCF for drives, through `mujoco.MjSpec`.
 
-What is changed, and only for joints that get a drive:
+For joints that get a drive, and only for these, the following is changed:
 
 - An actuator that is not a plain motor (position, velocity, general, ...), or whose gear is given,
-  becomes one: gain 1, no bias, no dynamics, no delay. It keeps its name and its number in
+  becomes a plain motor: gain 1, no bias, no dynamics, no delay. It keeps its name and its number in
   ``data.ctrl``. A joint without an actuator gets one, the last, with the name of the joint.
-- Such a motor has the gear of `gears`, else `GEARS`; the joint's armature becomes the rotor inertia
-  of the drive model times gear². A plain motor without a control range and without an entry in
-  `gears` is the mechanics already: it keeps its gear, and the joint its armature. With a control
-  range, as robots for learning have it, MuJoCo's `gear` is the torque of a control of 1 and says
-  nothing of a reduction: that motor gets the usual gear.
-- Limits of control, of actuator force and of the joint's actuator force are lifted, because the
-  drive has limits of its own.
-- The integrator RK4 becomes implicitfast: friction and drive act once a step.
-- The timestep, where it does not fit into the velocity cycles: the next shorter one that does.
-- Keyframes: the control of such an actuator is 0 Nm; their actuator activations are dropped where
-  the number of these changes.
+- Such a motor has the gear of `gears`, otherwise that of `GEARS`; the armature of the joint becomes
+  the rotor inertia of the drive model times gear². A plain motor without a control range and
+  without an entry in `gears` already describes the mechanics: it keeps its gear, and the joint its
+  armature. With a control range, as in robots for learning, MuJoCo's `gear` is the torque of a
+  control of 1 and says nothing about a reduction: that motor gets the usual gear.
+- Limits of the control, of the actuator force and of the joint's actuator force are removed,
+  because the drive has limits of its own.
+- The integrator RK4 becomes implicitfast, because friction and drive act once per step.
+- A timestep that does not fit into the velocity cycles becomes the next shorter one that does.
+- In keyframes the control of such an actuator is 0 Nm; actuator activations are dropped if their
+  number changes.
 
-Everything else stays, other actuators too: they obey ``data.ctrl``.
+Everything else stays. Other actuators obey ``data.ctrl``.
 """
 
 import functools
@@ -30,15 +30,15 @@ import mujoco
 from ...drive.model.model import DriveModel
 from ...drive.model.names import hint, named
 
-GEAR_RANGE = 1e-3, 1e6  # rad per m or rad; outside it lie typing errors
+GEAR_RANGE = 1e-3, 1e6  # rad per m or rad; a gear outside is a typing error
 JOINT_TYPES = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}  # units
 ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-# motor angle per joint travel where nothing is said
+# motor angle per joint travel if no gear is given
 GEARS = {
     mujoco.mjtJoint.mjJNT_HINGE: 100.0,  # rad/rad; strain wave gears have 30..160 (inferred)
     mujoco.mjtJoint.mjJNT_SLIDE: 2 * math.pi / 0.02,  # rad/m; a ball screw of 20 mm lead (inferred)
 }
-# what says whose actuator it is; everything else says how it acts
+# fields that identify an actuator; all others describe how it acts
 _IDENTITY = ("name", "target", "trntype", "group", "userdata", "info", "id", "signature")
 _OBJECTS = ("classname", "compiler", "plugin")
 
@@ -46,16 +46,16 @@ _OBJECTS = ("classname", "compiler", "plugin")
 def attach(
     spec: mujoco.MjSpec, drives: Mapping[str, DriveModel], gears: Mapping[str, float]
 ) -> None:
-    """Put a motor on the joint of every drive, as the head of this file says.
+    """Put a motor on the joint of every drive, as this module describes.
 
     Args:
         spec: the robot; changed in place.
-        drives: drive model by actuator or joint name; an actuator goes before a joint.
+        drives: drive model by actuator or joint name; an actuator takes precedence over a joint.
         gears: rad of motor shaft per m (slide) or rad (hinge) of the joint, by drive name.
 
     Raises:
-        ValueError: a name that is missing, a joint or transmission that cannot take a drive, two
-            actuators or drives on a joint, a gear out of `GEAR_RANGE`.
+        ValueError: a name that does not exist, a joint or transmission that cannot take a drive,
+            two actuators or drives on one joint, or a gear out of `GEAR_RANGE`.
     """
     for name in named("gears", gears, '{"joint": 100}'):
         if name not in drives:
@@ -93,9 +93,9 @@ def fitting_timestep(timestep: float, drives: Mapping[str, DriveModel]) -> float
 
 
 def actuator_of(model: mujoco.MjModel, name: str) -> int:
-    """Number of the actuator called `name`, else of the only one on the joint called so.
+    """Number of the actuator `name`, otherwise of the only actuator on the joint `name`.
 
-    Raises ValueError with the names there are.
+    Raises ValueError with the existing names.
     """
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
     if number >= 0:
@@ -126,7 +126,7 @@ def _missing(name: str, actuators: list[str], joints: list[str]) -> str:
 
 
 def _place(spec: mujoco.MjSpec, name: str):
-    """The joint that `name` means and its actuator, None where it has none."""
+    """The joint of the actuator or joint `name`, and its actuator or None."""
     actuator = spec.actuator(name)
     if actuator is not None and actuator.trntype not in ON_JOINT:
         kind = actuator.trntype.name.removeprefix("mjTRN_").lower()
@@ -155,7 +155,7 @@ def _place(spec: mujoco.MjSpec, name: str):
 
 
 def _plain(actuator) -> bool:
-    """Whether it is a motor that knows its reduction: gain 1, no bias, no dynamics, no range."""
+    """Whether an actuator is a motor with gain 1, no bias, no dynamics and no control range."""
     return (
         actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_TRUE
         and actuator.ctrlrange[0] == actuator.ctrlrange[1]

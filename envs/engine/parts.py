@@ -1,13 +1,14 @@
 """The parts of a step around mujoco-warp, for one machine given by the address of its SINGLE.
 
-A step of the agent is `begin`; then for each physics step `control`, the first half of mujoco-warp,
-`forces`, its `fwd_acceleration` and `solve_m`, `stick`, the second half, `finish`; and at last
-`end`. All parts consist of the blocks of `loop`. mujoco-warp steps all machines, so a machine that
-is left out, or whose coordinates are no longer finite, is put back to where it was.
+A step of the agent runs `begin`; for each physics step `control`, the first half-step of
+mujoco-warp, `forces`, its `fwd_acceleration` and `solve_m`, `stick`, the second half-step and
+`finish`; and finally `end`. The parts consist of the same blocks as `loop`. mujoco-warp steps all
+machines, so a machine that is left out, or whose coordinates are no longer finite, is restored to
+its state before the step.
 
 Each part is called with the address of the first machine, the number of bytes from one machine to
-the next, and the number of machines. On a CPU they run one after the other, on a GPU (`gpu`) each
-in a thread.
+the next, and the number of machines. On a CPU the machines run one after the other, on a GPU
+(`gpu`) each in a thread.
 """
 
 from collections.abc import Callable
@@ -32,7 +33,7 @@ def _present(world):
 
 @block
 def controls(world):
-    """Torques of the drives, and controls of other actuators (ctrl)."""
+    """Torques of the drives and controls of other actuators (ctrl)."""
     return reals_at(world, world.ctrl, world.nu)
 
 
@@ -73,7 +74,7 @@ def _latch(world, axes):
 
 @block
 def control(address):
-    """Latch the RPDO image when its time has come, and run the drives."""
+    """Latch the RPDO image at its tick, and run the drives."""
     world = single_at(address, 1)[0]
     world.moves = 0
     if _present(world):
@@ -84,14 +85,14 @@ def control(address):
 
 @block
 def forces(address):
-    """The mechanics of the joints, between the halves of the physics step."""
+    """Apply the mechanics of the joints, between the two halves of the physics step."""
     world = single_at(address, 1)[0]
     world.grips = world.moves != 0 and tick.forces(world)
 
 
 @block
 def stick(address):
-    """The friction of the joints, once accelerations and responses are there."""
+    """Apply the friction of the joints, once accelerations and responses are computed."""
     world = single_at(address, 1)[0]
     if world.grips != 0:
         friction.grip(world)
@@ -99,7 +100,7 @@ def stick(address):
 
 @block
 def finish(address):
-    """Measure the result of the physics step; put a machine that is left out back."""
+    """Measure the result of the physics step; restore a machine that is left out."""
     world = single_at(address, 1)[0]
     qpos, qvel = positions(world), velocities(world)
     if world.moves != 0:

@@ -3,8 +3,8 @@
 No C compiler, no plugin, no callback: LLVM resolves the symbols in the library that the Python
 package has already loaded. Without JIT the same names are Python functions.
 
-Where arrays lie in its structs, what a step is made of and which functions the library has is not
-what MuJoCo promises, and may change with a release. So one that was not tested is refused.
+The layout of MuJoCo's structs, the order of a step and the functions of the library may change with
+a release. A release that has not been tested is therefore refused.
 """
 
 from collections.abc import Iterable
@@ -23,11 +23,11 @@ TESTED = "4.0"  # releases of MuJoCo
 
 
 def refuse_untested(version: str) -> None:
-    """Raise ImportError for a release of MuJoCo whose insides this is not written for."""
+    """Raise ImportError for a release of MuJoCo that has not been tested."""
     if not f"{version}.".startswith(f"{TESTED}."):
         raise ImportError(
-            f"MuJoCo {version} is not {TESTED}, with which servogym was tested: it steps inside of "
-            f"MuJoCo, by addresses that another release may not have: pip install "
+            f"MuJoCo {version} is not {TESTED}, with which servogym was tested: it uses addresses "
+            f"inside MuJoCo that may differ in another release: pip install "
             f"'mujoco=={TESTED}.*'"
         )
 
@@ -47,7 +47,7 @@ def _library() -> str:
 
 
 def _in_python(name: str) -> Any:
-    """A function of MuJoCo that takes a model and a state, by their addresses."""
+    """A function of MuJoCo with addresses of model and data as arguments."""
     function = getattr(mujoco, name)
     return lambda model, data: function(_models[model], _datas[data])
 
@@ -82,7 +82,7 @@ _stepping: list[Any] = [_in_python(name) for name in STEPPING]
 
 
 def refuse_incomplete(names: Iterable[str]) -> None:
-    """Raise ImportError where MuJoCo's library lacks a function; a call of it would end Python."""
+    """Raise ImportError if MuJoCo's library lacks a function, whose call would end Python."""
     if missing := [name for name in names if llvmlite.binding.address_of_symbol(name) is None]:
         raise ImportError(
             f"the library of MuJoCo {mujoco.__version__} has no {', '.join(missing)}: "
@@ -106,15 +106,14 @@ if not jit.DISABLED:
     mj_sensor_acc, mj_check_acc, mj_compare_fwd_inv, mj_euler, mj_implicit, mj_reset,
 ) = _stepping
 
-CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias")  # called where one compiles
+CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias")  # called when a spec compiles
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The model of a spec.
+    """Compile a spec.
 
     Raises:
-        ValueError: what MuJoCo says; where a callback in Python is set, that it has to go: MuJoCo
-            compiles no model as long.
+        ValueError: the error of MuJoCo, or the callbacks in Python that prevent it from compiling.
     """
     try:
         return spec.compile()
@@ -129,11 +128,11 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 EMPTY = compiled(mujoco.MjSpec.from_string('<mujoco><size memory="1K"/></mujoco>'))
-NEAR = 256  # bytes of a struct before an array in it, and twice as many behind it, to look in
+NEAR = 256  # bytes of a struct before an array that are searched, and twice as many after it
 
 
 def _offset(holder: Any, name: str, array: str, kind: str, values: tuple[Any, Any]) -> int:
-    """Bytes from an array in a struct of MuJoCo to a number in it that Python has no array of."""
+    """Bytes from an array in a struct of MuJoCo to a number of the struct, found by its values."""
     usual, found, size = getattr(holder, name), [], np.dtype(kind).itemsize
     for value in values:
         setattr(holder, name, value)
@@ -155,7 +154,7 @@ RNE_FLAG = _offset(mujoco.MjData(EMPTY), "flg_rnepost", "energy", "u1", (True, F
 
 
 def addresses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:
-    """Addresses these functions take; the caller keeps `model` and `data` alive."""
+    """Return the addresses of model and data; the caller keeps both alive."""
     if jit.DISABLED:
         _models[model._address], _datas[data._address] = model, data
     return model._address, data._address

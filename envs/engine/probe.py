@@ -1,7 +1,7 @@
-"""Probe: what a motion was worth, measured by the loop at every physics step and not by the drive.
+"""Probe: figures of a motion, measured by the loop at every physics step and not by the drive.
 
-`Machine.probe` gives the records; as long as a machine has none this costs a comparison a step.
-Every machine keeps what a step of an agent has to know of itself: its peaks, its time at a limit.
+`Machine.probe` creates the records; a machine without them pays one comparison per step. Every
+machine also records the peaks of an agent's step and its time at a limit.
 """
 
 import math
@@ -12,18 +12,18 @@ from ...drive.kernel.jit import block
 from ...drive.memory import viewer
 
 INTERNAL_LIMIT = 0x800  # statusword bit 11
-JERK_WINDOW = 5e-3  # s, over which accelerations are means; jerk is told up to 100 Hz
+JERK_WINDOW = 5e-3  # s, over which accelerations are averaged; jerk is measured up to 100 Hz
 
 # One record a drive. "m" stands for m (slide) or rad (hinge).
 PROBE = np.dtype(
     [
-        ("goal", "f8"),  # set by `begin`: of what is moved (m); not a number: there is none
+        ("goal", "f8"),  # set by `begin`: goal of what is moved (m); NaN: none
         ("window", "f8"),  # half of it, around the goal (m)
-        ("side", "f8"),  # of the goal as seen from the start, -1 or 1
+        ("side", "f8"),  # direction from the start to the goal, -1 or 1
         ("unit", "f8"),  # m per position unit
         ("first", "i8"),  # coordinates behind the driven one that swing; -1: there is none
         ("second", "i8"),
-        ("quiet_from", "i8"),  # ticks after which what swings is residual vibration
+        ("quiet_from", "i8"),  # ticks after which vibration counts as residual
         ("jerk_ticks", "i8"),
         ("ticks", "i8"),  # measured since `begin`
         ("outside", "i8"),  # the last tick outside the window
@@ -35,7 +35,7 @@ PROBE = np.dtype(
         ("work", "f8"),  # positive mechanical work at the shaft (J)
         ("lowest", "f8"),  # of the residual vibration (m)
         ("highest", "f8"),
-        ("velocity", "f8"),  # of a jerk window before (m/s)
+        ("velocity", "f8"),  # one jerk window ago (m/s)
         ("acceleration", "f8"),  # m/s²
         ("jerk_squares", "f8"),  # sum (m²/s⁶)
         ("jerks", "i8"),  # summed
@@ -49,7 +49,7 @@ probes_at = viewer(PROBE)
 
 @block
 def begin_step(world, axes, couplings):
-    """A step of an agent begins: its peaks are the present."""
+    """Begin a step of an agent: its peaks start at the present values."""
     world.step_ticks = world.limited_ticks = 0
     for i in range(len(axes)):
         couplings[i].torque_peak = axes[i].torque
@@ -58,7 +58,7 @@ def begin_step(world, axes, couplings):
 
 @block
 def notice(world, axes, couplings):
-    """Update the probe after one physics step within an agent's step."""
+    """Update the peaks of an agent's step after a physics step."""
     words = 0
     for i in range(len(axes)):
         axis, coupling = axes[i], couplings[i]
@@ -75,7 +75,7 @@ def notice(world, axes, couplings):
 
 @block
 def observe(p, axis, coupling, timestep, qpos, qvel):
-    """Measure one drive after a physics step."""
+    """Update the probe of a drive after a physics step."""
     p.ticks += 1
     swing = qpos[p.first] if p.first >= 0 else 0.0
     if p.second >= 0:
@@ -105,7 +105,7 @@ def observe(p, axis, coupling, timestep, qpos, qvel):
 
 
 def renew(machine) -> None:
-    """Begin a step of an agent whose images go another way than through the loop."""
+    """Begin a step of an agent whose process images do not pass through the loop."""
     machine.world["step_ticks"] = machine.world["limited_ticks"] = 0
     machine.couplings["torque_peak"] = machine.axes["torque"]
     machine.couplings["error_peak"] = machine.axes["od"]["following_error_actual_value"]
@@ -114,13 +114,13 @@ def renew(machine) -> None:
 def begin(
     machine, duration: float, goal: float = math.nan, window: float = 0.0, unit: float = 1e-6
 ) -> None:
-    """Measure anew from the present on.
+    """Start a new recording.
 
     Args:
-        machine: with `Machine.probe` called.
-        duration: of what is measured (s); the last quarter of it counts as residual vibration.
-        goal: of what the first drive moves, with all that is elastic behind it (m).
-        window: half of the one around the goal (m).
+        machine: a machine with the records of `Machine.probe`.
+        duration: length of the recording (s); its last quarter counts as residual vibration.
+        goal: goal of the load of the first drive, behind all elasticity (m).
+        window: half the width of the window around the goal (m).
         unit: m per position unit of the drives.
     """
     timestep = machine.model.opt.timestep
@@ -138,6 +138,6 @@ def begin(
 
 
 def elastic(machine) -> list[int]:
-    """Coordinates of the joints without a drive: a transmission, a load on a spring."""
+    """Coordinates of the joints without a drive, such as a transmission or a load on a spring."""
     driven = {int(coupling.qpos) for coupling in machine.couplings}
     return [q for q in range(machine.model.nq) if q not in driven]

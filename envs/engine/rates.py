@@ -1,4 +1,4 @@
-"""Rates of a machine: whole ratios of its cycles, refused where they are not."""
+"""Rates of a machine: its cycles have whole ratios, all others are refused."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from .checks import in_range
 
 
 def whole_ratio(slow: float, fast: float, slow_name: str, fast_name: str, remedy: str = "") -> int:
-    """How many times `fast` (s) fits into `slow` (s)."""
+    """Return how many times `fast` (s) fits into `slow` (s). Raises ValueError for a fraction."""
     ratio = round(slow / fast)
     if ratio < 1 or abs(ratio * fast - slow) > 1e-9 * slow:
         raise ValueError(
@@ -28,7 +28,7 @@ def physics_step(timestep: float | None, usual: float) -> float:
 
 
 def rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, int]:
-    """The machine's cycle (s), which is the longest position cycle, and its physics steps."""
+    """Cycle of the machine (s), its longest position cycle, and the physics steps in it."""
     cycles = {name: drive.model.cycle_time["position"] for name, drive in drives.items()}
     longest = max(cycles, key=lambda name: cycles[name])
     for name, cycle in cycles.items():
@@ -41,12 +41,12 @@ def rates(model: mujoco.MjModel, drives: Mapping[str, Drive]) -> tuple[float, in
 
 
 def step_cycles(wanted: float | None, usual: float, cycle: float) -> int:
-    """Position cycles of `cycle` (s) in a step of the agent.
+    """Number of position cycles in a step of the agent.
 
     Args:
-        wanted: by the user (s), a whole number of cycles; None: `usual`.
-        usual: of the task (s), to the nearest cycle.
-        cycle: of the drives (s).
+        wanted: step time of the user (s), a whole number of cycles; None stands for `usual`.
+        usual: step time of the task (s), rounded to the nearest cycle.
+        cycle: position cycle of the drives (s).
 
     Raises ValueError for a time that is not a whole number of cycles, or out of 1..1000 of them.
     """

@@ -1,8 +1,8 @@
-"""One physics step of a machine, but for MuJoCo: what drives and joints do around its two halves.
+"""One physics step of a machine without MuJoCo: the drives and joints around its two halves.
 
-`control` stands before the step, `forces` between its halves, where `friction` joins, and `finish`
-and `count` after it. Compiled into `loop`, in which a machine steps alone, and into `worlds`, in
-which mujoco-warp steps many at once: numbers, records and arrays, nothing of MuJoCo.
+`control` runs before the step, `forces` between its halves, followed by `friction`, and `finish`
+and `count` after it. They are compiled into `loop`, where a machine steps alone, and into `worlds`,
+where mujoco-warp steps many at once, and use only numbers, records and arrays.
 """
 
 import math
@@ -22,7 +22,7 @@ from .probe import notice, observe, probes_at
 from .world import PDOS, WORLD
 
 AXIS_SIZE = AXIS.itemsize
-FARTHEST = 1e9  # m or rad; beyond it, or not a number, the physics has failed and stands still
+FARTHEST = 1e9  # m or rad; beyond it, or at NaN, the physics has failed and stands still
 NEGATIVE, POSITIVE, HOME = range(3)  # places in the arrays of a coupling's switches
 
 world_at = viewer(WORLD)
@@ -42,14 +42,14 @@ def normal(coupling):
 
 @block
 def load_noise(world):
-    """What the noise of the first drive's encoder is worth at a sensor of the load (m)."""
+    """Noise of a sensor at the load (m), with the standard deviation of the first encoder."""
     coupling = couplings_at(world.couplings, 1)[0]
     return coupling.noise * normal(coupling) if coupling.noise > 0.0 else 0.0
 
 
 @block
 def _uniform(coupling):
-    """In -1..1 (Vigna, An experimental exploration of Marsaglia's xorshift generators)."""
+    """A uniform number in -1..1 (Vigna, An experimental exploration of Marsaglia's xorshift)."""
     state = np.uint64(coupling.noise_state)
     state ^= state >> np.uint64(12)
     state ^= state << np.uint64(25)
@@ -95,14 +95,14 @@ def speeds(world):
 
 @block
 def copy(source, target):
-    """Element by element, because an assignment of slices takes Numba two seconds."""
+    """Copy element by element, because Numba compiles an assignment of slices for two seconds."""
     for i in range(len(target)):
         target[i] = source[i]
 
 
 @block
 def control(world):
-    """Run the control cycles that begin with a physics step; -> whether its physics is sound."""
+    """Run the control cycles that begin with a physics step; -> whether the physics is sound."""
     axes = axes_at(world.axes, world.drives)
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
@@ -122,7 +122,7 @@ def control(world):
 
 @block
 def forces(world):
-    """Set the limits of friction and add the other forces; -> whether there is any friction."""
+    """Set the friction limits and add the other forces; -> whether a joint has friction."""
     axes = axes_at(world.axes, world.drives)
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
@@ -135,7 +135,7 @@ def forces(world):
 
 @block
 def finish(world):
-    """Keep what the constraints did, and measure impacts."""
+    """Record the effect of the constraints, and measure impacts."""
     couplings = couplings_at(world.couplings, world.drives)
     joints = mechanics_at(world.mechanics, world.drives)
     qpos = reals_at(world, world.mj_qpos, world.nq)
@@ -147,7 +147,7 @@ def finish(world):
 
 @block
 def count(world):
-    """Measure for the task, and for the probes where there are any."""
+    """Measure for the task, and for the probes if the machine has them."""
     axes = axes_at(world.axes, world.drives)
     couplings = couplings_at(world.couplings, world.drives)
     notice(world, axes, couplings)

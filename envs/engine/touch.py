@@ -1,20 +1,21 @@
-"""What is in the way of a joint: contacts between what it moves and all else, or other forces."""
+"""Finds what hinders a joint: contacts of the bodies it moves, or other forces."""
 
 import mujoco
 import numpy as np
 
-LARGE = 0.5  # share of the drive's force; what takes that much is told
+LARGE = 0.5  # share of the drive's force from which an opposing force is reported
 
 
 def hindrances(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:
-    """What stops a joint: the contacts in its way; else what takes the force of its drive.
+    """Return what stops a joint: contacts in its way, otherwise the forces against its drive.
 
-    That is its limit, an equality such as a weld, its damping, its spring, the weight and the
-    motion of other joints; else the contacts of a robot whose base is free, which may have fallen.
+    Such forces are its limit, an equality such as a weld, its damping, its spring, and the weight
+    and the motion of other joints. Without any, the contacts of a free base are returned, since the
+    robot may have fallen.
 
     Args:
-        model: of the robot.
-        data: in the state looked at, after a physics step.
+        model: the MuJoCo model of the robot.
+        data: its state after a physics step.
         joint: number of the joint.
     """
     if found := obstacles(model, data, joint):
@@ -55,7 +56,7 @@ def _equalities(model: mujoco.MjModel, data: mujoco.MjData, dof: int) -> dict[in
 
 
 def _equality(model: mujoco.MjModel, i: int) -> str:
-    """An equality by its kind and its name, or the names of what it couples."""
+    """Describe an equality by its kind and its name, or by the objects that it couples."""
     kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
     name = model.equality(i).name
     objects, numbers = mujoco.mjtObj(model.eq_objtype[i]), (model.eq_obj1id[i], model.eq_obj2id[i])
@@ -66,12 +67,14 @@ def _equality(model: mujoco.MjModel, i: int) -> str:
 
 
 def obstacles(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[str]:
-    """Contacts in the way of a joint, the strongest first: ``"base_col touches upperarm_col"``.
+    """Return the contacts in the way of a joint, such as ``"base_col touches upperarm_col"``.
+
+    The strongest contact comes first.
 
     Args:
-        model: of the robot.
-        data: in the state looked at; its contacts are those of the last physics step.
-        joint: number of the joint; what hangs on its body is what it moves.
+        model: the MuJoCo model of the robot.
+        data: its state; the contacts are those of the last physics step.
+        joint: number of the joint, which moves its body and all bodies below it.
     """
     moved = _below(model, int(model.jnt_bodyid[joint]))
     found: dict[str, float] = {}
@@ -90,7 +93,7 @@ def obstacles(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> list[st
 
 
 def _below(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """Which bodies hang on `body`, itself too, shape ``(nbody,)``."""
+    """Whether a body belongs to the tree below `body`, itself included, shape ``(nbody,)``."""
     moved = np.zeros(model.nbody, bool)
     moved[body] = True
     for each in range(body + 1, model.nbody):  # parents come first

@@ -334,7 +334,7 @@ def found(wp: Any, device: str) -> Any:
 
 @contextmanager
 def room(n: int, device: Any) -> Iterator[None]:
-    """Wraps allocations on a device; MemoryError names the number of machines in one line."""
+    """Wrap allocations on a device. Raises MemoryError with the number of machines."""
     try:
         yield
     except RuntimeError as error:
@@ -344,7 +344,7 @@ def room(n: int, device: Any) -> Iterator[None]:
 
 
 def _takeable(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Copy a model so that mujoco-warp accepts it; it has no automatic reset and no flag for it."""
+    """Copy a model without the flag for automatic reset, which mujoco-warp does not know."""
     if model.na:
         raise ValueError(
             f"the model has {model.na} actuator activations, which are not part of what a device "
