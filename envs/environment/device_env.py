@@ -25,7 +25,7 @@ from ..exchange.loops import acting, judging
 from .servo_env import ServoEnv
 from .vector_env import ServoVectorEnv
 
-KNOWN = ("episodes", "tpdos")  # of a batch, what a step brings back
+KNOWN = ("episodes", "tpdos")  # arrays of a batch that a step copies back
 
 
 class DeviceVectorEnv(ServoVectorEnv):
@@ -59,10 +59,10 @@ class DeviceVectorEnv(ServoVectorEnv):
         first, n = self.envs[0], self.num_envs
         if first.line is not None:
             raise ValueError(
-                f"faults of a bus are not there with device={device!r}: each frame is made and "
-                "read in Python, on a core; leave one of them out"
+                f"faults of a bus are not available with device={device!r}, because Python makes "
+                "and reads each frame: leave one of them out"
             )
-        # what a machine begins with is made in rows of its own, while its present ones are in use
+        # the next episodes are prepared in rows of their own, while the present ones are in use
         self._coming = first.batch(n)
         for row, env in enumerate(self.envs):
             env.join(self._coming, row)
@@ -83,9 +83,9 @@ class DeviceVectorEnv(ServoVectorEnv):
             self._before.append(self._compiled("control", "controls", "rpdos"))
             self._after.append(self._compiled("report", "tpdos", "status"))
         self._ready: list[_Ready | None] = [None] * n
-        # draws of faults stand between those of two episodes; a picture shows what a core knows
+        # faults draw random numbers between two episodes, and a picture needs the state on the CPU
         self._ahead = not (first._faults or self.render_mode)
-        self._queue: OrderedDict[int, None] = OrderedDict()  # who has begun, the oldest first
+        self._queue: OrderedDict[int, None] = OrderedDict()  # rows that have begun, oldest first
         self._done = self._wp.Event(there.device) if there.device.is_cuda else None
 
     def _make_tables(self, there: Worlds) -> None:
@@ -103,9 +103,9 @@ class DeviceVectorEnv(ServoVectorEnv):
         if len(coming.modes):
             tables["controls"] = Records(wp, on, coming._controls, CONTROL, drives)
             tables["status"] = Records(wp, on, coming._status, STATUS, drives)
-        told, seen = ("commands", "controls"), ("seen", "status")
-        self._told = [tables[name].numbers(torch.float64) for name in told if name in tables]
-        self._seen = [tables[name].numbers(torch.float32) for name in seen if name in tables]
+        inputs, outputs = ("commands", "controls"), ("seen", "status")
+        self._inputs = [tables[name].numbers(torch.float64) for name in inputs if name in tables]
+        self._outputs = [tables[name].numbers(torch.float32) for name in outputs if name in tables]
         known = [name for name in JUDGED_NAMES if not shown(name)]
         known += filter(shown, first.EPISODE.names or ())
         layout: Any = first.EPISODE.fields
@@ -113,14 +113,14 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._known_here = np.concatenate([*map(np.asarray, places)])
         self._known = torch.as_tensor(self._known_here, device=self.device)
         self._bytes_of_episodes = tables["episodes"].numbers(torch.uint8)
-        shape = self.num_envs, first._history, sum(part.shape[1] for part in self._seen)
+        shape = self.num_envs, first._history, sum(part.shape[1] for part in self._outputs)
         self._frames = torch.zeros(shape, device=self.device)
         self._actions = torch.zeros(coming.actions.shape, dtype=torch.float64, device=self.device)
 
     @property
     def device(self) -> Any:
         """Device (of torch) on which the observations are."""
-        return self._seen[0].device
+        return self._outputs[0].device
 
     def _compiled(self, name: str, *names: str) -> Callable[[], None]:
         """Compile the function before or after the physics of a step, with its arrays."""
@@ -243,8 +243,8 @@ class DeviceVectorEnv(ServoVectorEnv):
         torch = self._torch
         mask = torch.as_tensor(moving, device=self.device)
         self._actions = torch.where(mask[:, None], given, self._actions)
-        widths = [part.shape[1] for part in self._told]
-        for part, numbers in zip(self._told, self._actions.split(widths, 1), strict=True):
+        widths = [part.shape[1] for part in self._inputs]
+        for part, numbers in zip(self._inputs, self._actions.split(widths, 1), strict=True):
             part.copy_(numbers)
 
     def _run(self, moving: np.ndarray) -> None:
@@ -270,13 +270,13 @@ class DeviceVectorEnv(ServoVectorEnv):
             self._batch.charge(self._parts[0], before)
 
     def _fetch_episodes(self) -> None:
-        """Copy the public data of the episodes back; private data (long paths) stay there."""
+        """Copy the public fields of the episodes back; private ones (long paths) stay there."""
         brought = self._bytes_of_episodes[:, self._known].cpu().numpy()
         here = self._batch.episodes.view(np.ndarray).view(np.uint8).reshape(self.num_envs, -1)
         here[:, self._known_here] = brought
 
     def _inject(self, moving: np.ndarray) -> None:
-        """Let the declared faults happen, in the records that are on the device."""
+        """Inject the declared faults into the records on the device."""
         if not self.envs[0]._faults:
             return
         for i in np.flatnonzero(moving).tolist():
@@ -284,7 +284,7 @@ class DeviceVectorEnv(ServoVectorEnv):
             known = len(env._injected)
             env.inject_faults()
             if happened := env._injected[known:]:
-                self._there.fetch([i])  # which has overwritten them
+                self._there.fetch([i])  # overwrites the injected causes
                 for name, drive, cause, _ in env._faults:
                     if name in happened:
                         drive.inject(cause)
@@ -292,7 +292,7 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     def _looked(self) -> Any:
         """The present observations of all environments, without history."""
-        return self._torch.cat(self._seen, 1)
+        return self._torch.cat(self._outputs, 1)
 
     def _remember(self, moving: np.ndarray) -> None:
         torch = self._torch
@@ -306,15 +306,15 @@ class DeviceVectorEnv(ServoVectorEnv):
             return frames.clone()
         return self._torch.cat([frames, self._actions.float()], 1)
 
-    # ---------------------------------------------------------------- for a bench, for eyes
+    # --------------------------------------------------------------- benchmarks and pictures
 
     def zeros(self) -> Any:
-        """Actions that do nothing, on the device."""
+        """Return actions of 0 on the device."""
         return self._torch.zeros(self.action_space.shape, device=self.device)
 
     @property
     def in_graphs(self) -> bool:
-        """Whether a physics step is launched as one graph; a bench may do without."""
+        """Whether a physics step is launched as one graph; a benchmark may switch it off."""
         return self._there.in_graphs
 
     @in_graphs.setter
@@ -322,7 +322,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         self._there.in_graphs = given
 
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, speeds and torques of the physics, shape ``(n, ...)`` each."""
+        """Return positions, speeds and torques of the physics, shape ``(n, ...)`` each."""
         return self._there.qpos, self._there.qvel, self._there.ctrl
 
     def step_physics(self) -> None:
@@ -352,7 +352,7 @@ class _Ready(NamedTuple):
     """An episode that waits on the device."""
 
     generator: np.random.Generator  # of its environment
-    before: Any  # the state of it, before it was made
+    before: Any  # state of the generator before the episode was prepared
     parameters: dict[str, float]
 
 

@@ -23,7 +23,7 @@ def _texts(value: Any) -> bool:
 
 
 def _numbers(kind: str) -> Callable[[Any], bool]:
-    """A record, possibly nested, whose numbers are all of one type."""
+    """Return a check for a record, possibly nested, whose numbers all have one type."""
 
     def fits(value: Any) -> bool:
         return isinstance(value, np.dtype) and bool(value.names) and all(map(leaf, _parts(value)))
@@ -51,14 +51,14 @@ NEEDED = {
         "its id in the registry of Gymnasium, such as 'mylab/Nudge-v0'",
         lambda value: isinstance(value, str),
     ),
-    "RPDO": Requirement("a tuple of the names of the objects the agent commands", _texts),
-    "TPDO": Requirement("a tuple of the names of the objects it sees", _texts),
-    "DRIVES": Requirement("a tuple of the names of the drives the agent commands", _texts),
+    "RPDO": Requirement("a tuple of the names of the objects that the agent commands", _texts),
+    "TPDO": Requirement("a tuple of the names of the objects that the agent sees", _texts),
+    "DRIVES": Requirement("a tuple of the names of the drives that the agent commands", _texts),
     "ACTION": Requirement("a record made by servogym.envs.action", _numbers("f8")),
     "OBSERVATION": Requirement("a record made by servogym.envs.observation", _numbers("f4")),
     "EPISODE": Requirement("a record made by servogym.envs.episode", _episode),
     "STEPS": Requirement(
-        "the steps of an episode, a whole number from 1 on",
+        "the number of steps of an episode, a whole number from 1 on",
         lambda value: type(value) is int and value >= 1,
     ),
     "act": Requirement("a compiled function (episode, action, rpdos)", callable),

@@ -7,13 +7,13 @@ from ...drive.model.model import DriveModel
 from ..plants.twins import Twin, read
 from ..variation.randomisation import KNOBS
 
-FROM = "twin"  # in place of ranges: the intervals of what was found
+FROM = "twin"  # instead of ranges: the intervals of the identified parameters
 
 
 def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) -> tuple[Any, Any]:
     """Use the plant of a twin for the task; -> the twin (None without one) and the drive.
 
-    Raises ValueError for a folder without one, another kind of machine, another drive.
+    Raises ValueError for a folder without a twin, another kind of machine or another drive.
     """
     if twin is None:
         return None, drive
@@ -32,7 +32,7 @@ def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) ->
 
 
 def ranges(given: Any, twin: Twin | None) -> Any:
-    """The ranges to draw from. Raises ValueError for ``"twin"`` without a twin."""
+    """Return the ranges to draw from. Raises ValueError for ``"twin"`` without a twin."""
     if given != FROM:
         return given
     if twin is None:

@@ -1,8 +1,8 @@
-"""Tasks by their ids: how one is registered, and how any is found, those of other packages too.
+"""Tasks by their ids: registers tasks, and finds those of this and other packages.
 
-A package of your own calls `register` for its tasks when it is imported. Its ids work everywhere,
-with the module in front as Gymnasium has it: ``servogym train mylab:mylab/Nudge-v0``. In front of
-ids of this package ``servogym/`` may be left out.
+A package of your own calls `register` for its tasks when it is imported. Its ids then work
+everywhere, with the module in front as in Gymnasium: ``servogym train mylab:mylab/Nudge-v0``. For
+tasks of this package ``servogym/`` may be omitted.
 """
 
 import importlib
@@ -21,7 +21,7 @@ from .device_env import vectors
 from .servo_env import ServoEnv
 
 NAMESPACE = "servogym/"
-MOST_STEPS = 10**9  # of an episode
+MOST_STEPS = 10**9  # longest episode
 
 
 def register(task: type[ServoEnv]) -> None:
@@ -59,20 +59,21 @@ def __getattr__(identity: str) -> Callable[..., gymnasium.vector.VectorEnv]:
 
 
 def short(identity: str) -> str:
-    """An id as it may be written: without the name space of this package."""
+    """Return an id without the name space of this package, which may be omitted."""
     return identity.removeprefix(NAMESPACE)
 
 
 def task(name: str | type[ServoEnv]) -> type[ServoEnv]:
-    """The class behind an id.
+    """Return the class of a task by its id.
 
     Args:
-        name: id of Gymnasium, with ``module:`` in front of one that another package registers;
-            that of a package may be left out where it is the name space, ``mylab:Nudge-v0``. A
-            class is returned as it is.
+        name: id in Gymnasium, with ``module:`` in front if another package registers it; a name
+            space equal to the name of that package may be omitted, ``mylab:Nudge-v0``. A class is
+            returned as it is.
 
     Raises:
-        ValueError: no such module, no such id (with near ones), or not a `ServoEnv`.
+        ValueError: the module or the id does not exist (with similar ids), or the class is not a
+            `ServoEnv`.
     """
     if isinstance(name, type) and issubclass(name, ServoEnv):
         return name
@@ -104,10 +105,10 @@ def task(name: str | type[ServoEnv]) -> type[ServoEnv]:
 
 
 def of_a_file(name: Any, where: str, run_code: bool = False) -> Any:
-    """The name of an environment that a file from elsewhere gives, as it is.
+    """Return the name of an environment in a file from elsewhere.
 
-    Raises ValueError if `task` would import a module for it that is not of this package, unless
-    `run_code` consents.
+    Raises ValueError if `task` would import a module of another package for it, unless `run_code`
+    consents.
     """
     module = name.rpartition(":")[0] if isinstance(name, str) else ""
     if module and module.partition(".")[0] != NAMESPACE[:-1]:
@@ -136,7 +137,7 @@ def _import(module: str, name: str) -> None:
 
 
 def _hint(name: str, module: str) -> str:
-    """What might be meant, of the tasks here or of what `module` registers."""
+    """Suggest ids similar to `name`, of this package or of the package of `module`."""
     owner = module.partition(".")[0] or NAMESPACE[:-1]
     known = [
         f"{module}:{each.removeprefix(f'{owner}/')}" if module else short(each)

@@ -19,7 +19,7 @@ from ..exchange.batch import shown
 from ..exchange.faces import FAULT
 from .servo_env import ServoEnv
 
-MOST = 1_000_000
+MOST = 1_000_000  # environments, threads or steps
 
 
 class ServoVectorEnv(gym.vector.VectorEnv):
@@ -49,8 +49,8 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     ):
         if not (isinstance(task, type) and issubclass(task, ServoEnv)):
             raise ValueError(
-                f"task = {task!r}: give the class of a task; servogym.envs.task('LinearAxis-v0') "
-                "is one by its id"
+                f"task = {task!r}: give the class of a task, such as "
+                "servogym.envs.task('LinearAxis-v0')"
             )
         self._arguments = {
             "task": task, "autoreset_mode": autoreset_mode, "threads": threads,
@@ -59,7 +59,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self.num_envs = whole("num_envs", num_envs, 1, MOST)
         if arguments.get("port") is not None:
             raise ValueError(
-                "port: drives on a bus are those of one environment, use gymnasium.make"
+                "port: drives on a bus belong to one environment, use gymnasium.make"
             )
         if threads is not None:
             threads = whole("threads", threads, 1, MOST)
@@ -124,11 +124,11 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         return self._observed(), self._infos()
 
     def _observed(self) -> np.ndarray:
-        """What all see, a copy."""
+        """Return a copy of the observations of all environments."""
         return self._batch.observed(slice(None))
 
     def _restart(self, rows: list[int], options: dict[str, Any] | None = None) -> None:
-        """Begin an episode in each of some rows."""
+        """Begin an episode in each of these rows."""
         for i in rows:
             self.envs[i].restart(options)
             self._steps[i], self._ended[i] = 0, False
@@ -167,7 +167,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             )
         if (self._steps < 0).any():
             raise gym.error.ResetNeeded("call reset() before the first step")
-        resting = self._ended.copy()  # these are reset instead, or wait for their reset
+        resting = self._ended.copy()  # these are reset now, or wait for their reset
         moving = ~resting
         batch.worlds[:] = np.where(resting, 0, self._worlds)
         try:
@@ -200,14 +200,14 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         return self._observed(), rewards, terminations, truncations, infos
 
     def _numbers(self, actions: Any) -> Any:
-        """Actions as they are worked with. Raises TypeError or ValueError where they are none."""
+        """Convert actions to an array. Raises TypeError or ValueError if they are not numbers."""
         return np.asarray(actions, np.float64)
 
     def _act_on(self, given: Any, moving: np.ndarray) -> None:
         self._batch.actions[moving] = given[moving]
 
     def _remember(self, moving: np.ndarray) -> None:
-        """What the rows that have moved see, in front of their history."""
+        """Put the observations of the rows that have moved in front of their history."""
         self._batch.remember(slice(None) if moving.all() else moving)
 
     def _run(self, moving: np.ndarray) -> None:
@@ -222,7 +222,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             _with_threads.add(self)
         others = [self._pool.submit(self._batch.run, part) for part in self._parts[1:]]
         try:
-            self._batch.run(self._parts[0])  # by this thread: no time is lost to waking another
+            self._batch.run(self._parts[0])  # in this thread, which need not be woken
             for other in others:
                 other.result()
         except BaseException:
@@ -233,7 +233,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
             self._batch.stopped = False
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy or a pickle is a vector of its own, as this one is now; threads are not kept."""
+        """A copy or a pickle is a vector of its own in the present state, without threads."""
         with self._turn:
             kept = [env.snapshot() for env in self.envs]
             own = self._steps.copy(), self._ended.copy(), copy.deepcopy(self._np_random)
@@ -263,7 +263,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def render(self) -> tuple[Any, ...] | None:
         """Return an image of each environment."""
         for env, steps in zip(self.envs, self._steps.tolist(), strict=True):
-            env._steps = steps  # it has not stepped itself
+            env._steps = steps  # which only the vector counts
         return tuple(env.render() for env in self.envs) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **arguments: Any) -> None:
@@ -279,7 +279,7 @@ _with_threads: "weakref.WeakSet[ServoVectorEnv]" = weakref.WeakSet()
 
 
 def _forked() -> None:
-    """A forked process has none of the threads."""
+    """Forget the threads in a forked process, where they do not exist."""
     for vector in _with_threads:
         vector._pool = None
 

@@ -1,6 +1,7 @@
-"""What can be chosen about a linear axis, and the family: presets by the kind of mechanics.
+"""Parameters of a linear axis, and the family: presets by the kind of mechanics.
 
-Values marked `inferred` are of the size catalogues give for axes of this class, not of one product.
+Values marked `inferred` have the size that catalogues give for axes of this class; they are not
+those of a product.
 """
 
 from dataclasses import dataclass, replace
@@ -14,22 +15,23 @@ HEAVIEST = 100.0  # kg, payload
 
 @dataclass(frozen=True)
 class Joints:
-    """What is known of the joints of any robot, drive by drive; the rest is in their drives."""
+    """Data of the joints of any robot, drive by drive; all other data is in their drives."""
 
     ranges: tuple[float, ...]  # half of each (rad or m), pi without limits
 
 
 @dataclass(frozen=True)
 class LinearAxisParameters(MotorParameters):
-    """One linear axis. Raises ValueError naming field, value, range and unit.
+    """Parameters of one linear axis. Raises ValueError with field, value, range and unit.
 
-    An effect is off where its parameter is 0, `static_friction` also where it is the Coulomb one.
-    With a `transmission_stiffness` the carriage moves against the motor side: the drive sees the
-    motor; friction, end stops and switches are the carriage's. The `efficiency` of the gear is a
-    friction in proportion to what it carries. `transmission_inertia` is that of pulleys, coupling
-    and spindle. Orders of 24: 12 slots and 8 poles have such a cogging, 4 pole pairs such a ripple.
-    The friction has come down by 63 % at the `stribeck_velocity` (inferred). Switches are mounted
-    to the right by their offset and scatter by a standard deviation.
+    An effect is off if its parameter is 0; `static_friction` also if it equals the Coulomb
+    friction. With a `transmission_stiffness` the carriage moves against the motor side: the drive
+    measures the motor, while friction, end stops and switches act on the carriage. The `efficiency`
+    of the gear is a friction proportional to its load. `transmission_inertia` is that of pulleys,
+    coupling and spindle. Orders of 24 belong to the cogging of 12 slots with 8 poles and to the
+    ripple of 4 pole pairs. At the `stribeck_velocity` the friction has fallen by 63 % (inferred).
+    The switches are shifted to the right by `switch_offset` and scatter with a standard deviation
+    of `switch_scatter`.
     """
 
     payload: float = ranged(5.0, 0.0, HEAVIEST, "kg")  # on the carriage
@@ -78,7 +80,7 @@ class LinearAxisParameters(MotorParameters):
         if self.efficiency < 1.0 and self.transmission_stiffness == 0.0:
             raise ValueError(
                 f"efficiency = {self.efficiency:g} needs a transmission_stiffness above 0 N/m: the "
-                "spring between motor side and carriage is what the gear carries"
+                "spring between motor side and carriage is the load of the gear"
             )
 
 
@@ -136,7 +138,7 @@ LINEAR_MOTOR = LinearAxisParameters(
     max_acceleration=20.0,
     switch_scatter=20e-6,
 )
-# The screw hangs its load on one flank. Brake: 1.3 Nm is usual for a motor of 400 W.
+# The load hangs on one flank of the screw. A brake of 1.3 Nm is usual for a motor of 400 W.
 VERTICAL = replace(BALL_SCREW, inclination=90.0, brake_torque=1.3, chain_drag_growth=8.0)
 # Rack of 5 mm metric pitch, pinion of 25 teeth, planetary gear 5:1: 25 mm a motor revolution.
 # Torsion of the gear 5 Nm/arcmin over the radius of 20 mm is 4e7 N/m, in series with the teeth
@@ -164,8 +166,8 @@ RACK_PINION = LinearAxisParameters(
     motor_thermal_time=1200.0,
     motor_temperature_limit=140.0,
 )
-# A scale at the carriage makes up for the spindle's compliance, but not for backlash: the nut is
-# preloaded, with more friction (inferred).
+# A scale at the carriage compensates the compliance of the spindle, but not backlash: the nut is
+# preloaded and has more friction (inferred).
 SCALE = replace(
     BALL_SCREW, load_encoder=True, backlash=0.0, coulomb_friction=55, static_friction=65
 )
@@ -182,7 +184,7 @@ FAMILY = {
 
 
 def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
-    """The preset called `mechanics`, with `values` instead of its own.
+    """Return the preset `mechanics` of the family with `values` instead of its own.
 
     Raises:
         ValueError: an unknown name, or a parameter out of range.
@@ -193,7 +195,7 @@ def family(mechanics: str, **values: float | None) -> LinearAxisParameters:
 
 
 def chosen(parameters: LinearAxisParameters | str | None, payload: float) -> LinearAxisParameters:
-    """Parameters as they are, or by the name of a preset; None: the rigid axis with `payload`."""
+    """Return parameters, given directly or by the name of a preset; None: rigid with `payload`."""
     if parameters is None:
         return LinearAxisParameters(payload=payload)
     if isinstance(parameters, str):

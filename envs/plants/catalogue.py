@@ -1,4 +1,4 @@
-"""Machines by name, ready to be served on a field bus: all compiled that they need."""
+"""Machines by name, ready to be served on a field bus: their code is compiled beforehand."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -20,11 +20,11 @@ from .gantry import gantry
 from .linear_axis import linear_axis
 from .rotary import rotary_axis
 
-# what a twin names as that which builds it
+# builders of machines, by the names that a twin stores
 BUILDERS: Mapping[str, Callable[..., Machine]] = {
     "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
 }
-# machine by name, and where its axes stand at power-on (m)
+# machine by name, and the positions of its axes at power-on (m)
 AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),
     "vertical": (partial(linear_axis, inclination=90, brake_torque=4.0), {"x": 0.12}),
@@ -36,8 +36,8 @@ AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
 
 
 def _held(model: DriveModel) -> Standing:
-    """A drive whose motor is held."""
-    Drive(model).cycle(0.0)  # the first one compiles
+    """A drive whose motor shaft is held."""
+    Drive(model).cycle(0.0)  # compiles the cycle
     return Standing({"x": Drive(model)}, model.cycle_time["position"])
 
 
@@ -48,15 +48,15 @@ def of_axis(
     axis: str, drive: str | Path | DriveModel, parameters: Mapping[str, Any] | None = None,
     named: Callable[[str], str] = str,
 ) -> tuple[Any, dict[str, float]]:
-    """A machine, commissioned, and where its joints stand at power-on (m or rad).
+    """Return a commissioned machine, and the positions of its joints at power-on (m or rad).
 
     Args:
         axis: key of `AXES`; ``none``: a drive whose motor is held.
         drive: drive model by name or folder.
         parameters: keywords of the machine's factory.
-        named: the name under which a person gave an argument.
+        named: returns the name under which the user gave an argument, for error messages.
 
-    Raises ValueError: unknown model or axis, or what the factory refuses.
+    Raises ValueError for an unknown model or axis, or arguments that the factory refuses.
     """
     if axis not in SERVED:
         raise ValueError(f"{named('axis')} = {axis!r}: {hint(axis, SERVED)}")
@@ -68,18 +68,19 @@ def deliver(
     machine: Any, bus: str, places: Mapping[str, float], node_id: int = 0,
     parameter_file: Path | None = None, named: Callable[[str], str] = str,
 ) -> None:
-    """Switch a machine on for a bus: node-ids, stored parameters, all compiled that it needs.
+    """Switch a machine on for a bus: set node-ids, load parameter files, compile its code.
 
     Args:
-        machine: at rest.
+        machine: a machine at rest.
         bus: ``can`` or ``ethercat``.
-        places: of its joints (m or rad), by drive.
-        node_id: of its first drive on CAN; 1..127 has to hold for the last one too.
-        parameter_file: where a drive stores its parameters; of several drives each has its own,
-            with the node-id or its name in the file's name.
-        named: the name under which a person gave an argument.
+        places: positions of its joints (m or rad), by drive.
+        node_id: node-id of its first drive on CAN; that of the last one has to be in 1..127 too.
+        parameter_file: file in which a drive stores its parameters; each of several drives has its
+            own, with the node-id or its name in the file name.
+        named: returns the name under which the user gave an argument, for error messages.
 
-    Raises ValueError: node-id out of range, no folder for the parameter file.
+    Raises ValueError for a node-id out of range, or a parameter file in a folder that does not
+    exist.
     """
     if parameter_file is not None and not parameter_file.parent.is_dir():
         raise ValueError(
@@ -101,21 +102,21 @@ def deliver(
 def axis_for(
     drive: str, node_id: int, axis: str = "linear", parameter_file: Path | None = None
 ) -> Machine:
-    """A machine whose drives have node-ids from `node_id` on, see `of_axis` and `deliver`."""
+    """Return a machine whose drives have node-ids from `node_id` on, see `of_axis`, `deliver`."""
     machine, places = of_axis(axis, load(drive, "can"))
     deliver(machine, "can", places, node_id, parameter_file)
     return machine
 
 
 def fresh(axis: str, drive: str = "generic", what: str = "axis") -> Machine:
-    """A commissioned machine where it stands at power-on, the same bits each time.
+    """Return a commissioned machine in its state at power-on, identical to the bit each time.
 
     Args:
         axis: key of `AXES`.
-        drive: model or folder.
-        what: the name under which the user gave the axis.
+        drive: drive model by name or folder.
+        what: the name under which the user gave the axis, for error messages.
 
-    Raises ValueError: unknown model or axis.
+    Raises ValueError for an unknown model or axis.
     """
     if axis not in AXES:
         raise ValueError(f"{what} = {axis!r}: {hint(axis, AXES)}")
@@ -126,25 +127,25 @@ def fresh(axis: str, drive: str = "generic", what: str = "axis") -> Machine:
 
 
 def of_twin(folder: str | Path, drive: str | Path | DriveModel | None = None) -> Machine:
-    """The machine in a folder of `servogym twin`, commissioned and at rest.
+    """Return the machine in a folder of `servogym twin`, commissioned and at rest.
 
     Args:
-        folder: with a ``twin.json``.
-        drive: a model in place of the twin's own.
+        folder: folder with a ``twin.json``.
+        drive: drive model instead of that of the twin.
 
     Raises:
-        ValueError: there is no twin in it, it is damaged, or the drive does not fit.
+        ValueError: the folder has no twin, the twin is damaged, or the drive does not fit.
     """
     found = twins.read(folder)
     return found.machine(BUILDERS[found.builder], drive)
 
 
 def power_on(machine: Machine, places: Mapping[str, float]) -> None:
-    """Hand over a commissioned machine: its parameters are stored, its loop is compiled.
+    """Deliver a commissioned machine: store its parameters and compile its loop.
 
     Args:
-        machine: at rest.
-        places: of its joints (m or rad), by drive.
+        machine: a machine at rest.
+        places: positions of its joints (m or rad), by drive.
     """
     for drive in machine.drives.values():
         drive.parameters.deliver()
@@ -157,11 +158,11 @@ def number_nodes(machine: Machine, node_id: int, what: str) -> None:
     """Give the drives of a machine consecutive node-ids.
 
     Args:
-        machine: whose drives are on CAN.
-        node_id: of the first drive.
-        what: where the number comes from, for the error message.
+        machine: a machine on CAN.
+        node_id: node-id of the first drive.
+        what: source of the number, for the error message.
 
-    Raises ValueError where the first or the last is out of range 1..127.
+    Raises ValueError if the first or the last is out of range 1..127.
     """
     last = node_id + len(machine.drives) - 1
     if not 1 <= node_id <= last <= 127:
@@ -172,21 +173,21 @@ def number_nodes(machine: Machine, node_id: int, what: str) -> None:
 
 
 def named_for(parameter_file: Path, own: str) -> Path:
-    """The parameter file of one of several drives."""
+    """Return the parameter file of one of several drives."""
     return parameter_file.with_stem(f"{parameter_file.stem}_{own}")
 
 
 def ethercat_line(
     models: Sequence[str], axis: str = "linear", *, ring: bool = False
 ) -> tuple[Segment, list[Moved]]:
-    """Slaves in a line with a machine for each model, with all compiled that they need.
+    """Return slaves in a line and a machine for each model, with their code compiled.
 
     Args:
         models: drive models by name or folder; a machine of several axes has a slave for each.
-        axis: see `of_axis`.
+        axis: name of the machine, see `of_axis`.
         ring: the last slave leads back to a second port of the master.
 
-    Raises ValueError: unknown model or axis, a model without EtherCAT.
+    Raises ValueError for an unknown model or axis, or a model without EtherCAT.
     """
     machines: list[Moved] = []
     for name in models:
@@ -200,7 +201,7 @@ def ethercat_line(
 
 
 def warm_up(drive: str | DriveModel) -> None:
-    """Let a node move its PDOs once: the first one would wait seconds for the compiler."""
+    """Let a node exchange PDOs once, since the first exchange waits seconds for the compiler."""
     node = Node(Drive(drive))
     node.receive(Frame(Base.NMT, bytes([NmtCommand.START, 0])), 0)
     node.receive(Frame(0x201, bytes(8)), 0)

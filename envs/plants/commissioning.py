@@ -1,6 +1,6 @@
-"""Commissioning of a joint of any robot: its drive's parameters from the model alone.
+"""Commissions a joint of any robot: the parameters of its drive follow from the model alone.
 
-Windows are angles of the motor shaft, so they scale with the gear as the encoder does.
+Windows are angles of the motor shaft, so they scale with the gear, as the encoder does.
 """
 
 import math
@@ -21,11 +21,11 @@ from .motor import MOTOR
 from .sizing import Profile, asked
 from .tuning import gains
 
-RATED_SPEED = 3000 * 2 * math.pi / 60  # rad/s, usual of servo motors of this size
-TRAVEL_TIME = 0.5  # s, over the whole range, if the motor is that fast (inferred)
+RATED_SPEED = 3000 * 2 * math.pi / 60  # rad/s, usual for servo motors of this size
+TRAVEL_TIME = 0.5  # s over the whole range, if the motor is that fast (inferred)
 RAMP_TIME = 0.2  # s, from standstill to the highest speed, if the motor can (inferred)
-# rad or rad/s at the shaft; of linear_axis: 1 mm, 20 µm, 5 mm/s at 60 mm a turn, wider where a
-# robot's axes disturb each other (inferred)
+# rad or rad/s at the shaft; linear_axis has 1 mm, 20 µm and 5 mm/s at 60 mm per turn; these are
+# wider, because the axes of a robot disturb each other (inferred)
 FOLLOWING_ERROR_WINDOW = 0.5
 POSITION_WINDOW = 0.005
 VELOCITY_WINDOW = 0.5
@@ -44,27 +44,27 @@ def commission_joint(
 ) -> None:
     """Set units, limits, windows, motor data, homing and gains of the drive `name`.
 
-    Position unit 1 µrad (hinge) or 1 µm (slide), velocity and acceleration per s and s². The
-    direction is that of the joint, with a negative gear too. Software position limits are the
-    joint's range; an unlimited joint has none. Homing method 37, or 35 where the model lacks it,
-    gives the drive the joint's own coordinate, if it is homed at the present pose. Motor: 400 W,
-    made larger where the joint's load needs more; the gains are for the inertia at the present
-    pose. A frequency inverter is left as it is: it cannot position.
+    The position unit is 1 µrad (hinge) or 1 µm (slide), with velocity and acceleration per s and
+    s². The direction is that of the joint, also with a negative gear. The software position limits
+    are the range of the joint; an unlimited joint has none. Homing method 37, or 35 if the model
+    lacks it, gives the drive the coordinate of the joint when it is homed at the present pose. The
+    motor has 400 W, or more if the load of the joint needs it; the gains are for the inertia at the
+    present pose. A frequency inverter is left unchanged, because it cannot position.
 
     Args:
-        machine: a machine at rest, none of its drives in operation.
-        name: of the drive.
-        max_velocity: profile velocity (m/s or rad/s); if not given 3000 1/min of the motor, or what
-            crosses the range in 0.5 s.
-        max_acceleration: profile acceleration and deceleration (m/s² or rad/s²); what twice the
-            rated torque gives, up to full speed in 0.2 s, if not given.
-        position_unit: one unit of the drive's positions (m or rad).
-        tuned: gains, profile and window of the following error are what mechanics and motor can
-            do; if not, the gains of the rule in `tuning`, whatever comes of them.
+        machine: a machine at rest, with none of its drives in operation.
+        name: name of the drive.
+        max_velocity: profile velocity (m/s or rad/s); by default 3000 1/min of the motor, or less
+            if that crosses the range in under 0.5 s.
+        max_acceleration: profile acceleration and deceleration (m/s² or rad/s²); by default that of
+            twice the rated torque, or less if that reaches full speed in under 0.2 s.
+        position_unit: one position unit of the drive (m or rad).
+        tuned: limit gains, profile and following error window to the abilities of mechanics and
+            motor; otherwise the gains follow the rule in `tuning`, without further checks.
 
     Raises:
-        ValueError: a name without a drive, an argument that is not above 0, or a value the drive
-            cannot take, with what to change.
+        ValueError: an unknown drive, an argument that is not above 0, or a value that the drive
+            does not accept, with a remedy.
     """
     tuned = flag("tuned", tuned)
     try:
@@ -82,12 +82,12 @@ def commission_shaft(
     machine: Machine, name: str, *, max_velocity: float | None, max_acceleration: float | None,
     position_unit: float, tuned: bool, exact: bool = False,
 ) -> None:
-    """The same; a motor that cannot move its load is told without what a robot could change.
+    """Commission a drive as `commission_joint` does, without its advice for robots in errors.
 
-    A speed or ramp beyond the drive's range is refused where it is `exact`, else it is limited.
+    A speed or ramp beyond the range of the drive is refused if `exact`, otherwise limited.
     """
     if not isinstance(machine, Machine):
-        raise ValueError(f"machine = {machine!r}: give a Machine, as Machine.from_mjcf makes one")
+        raise ValueError(f"machine = {machine!r}: give a Machine, such as one of Machine.from_mjcf")
     if name not in machine.drives:
         raise ValueError(f"name: there is no drive {name!r}: {hint(str(name), machine.drives)}")
     drive = machine.drives[name]
@@ -149,7 +149,7 @@ def _other(name: str, gear: float) -> str:
 
 
 def _units(drive: Drive, angle: float) -> dict[str, float]:
-    """Units of `angle` (rad of the shaft), as a fraction of a revolution."""
+    """Factors for units of `angle` (rad of the shaft), as a fraction of a revolution."""
     turn = 2 * math.pi / angle
     # both parts have to stay below 2^31 together with the increments of the encoder
     units = Fraction(turn).limit_denominator(max(1, min(1000, int(2**31 / turn) - 1)))
@@ -166,7 +166,7 @@ def _speed(machine: Machine, coupling) -> float:
 
 
 def _inertia(machine: Machine, coupling) -> float:
-    """Inertia at the shaft (kg·m²) while the other drives hold and joints without one are free."""
+    """Inertia at the shaft (kg·m²) with the other drives held and joints without a drive free."""
     model = machine.model
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, machine.data, mass)
@@ -177,7 +177,7 @@ def _inertia(machine: Machine, coupling) -> float:
 
 
 def _behind_springs(machine: Machine, coupling) -> float:
-    """Inertia at the shaft (kg·m²) of what joints with a spring carry; 0 without one."""
+    """Inertia at the shaft (kg·m²) of the bodies behind springs; 0 without springs."""
     model = machine.model
     if not model.jnt_stiffness.any():
         return 0.0
@@ -192,9 +192,9 @@ def _behind_springs(machine: Machine, coupling) -> float:
 
 
 def _motor(drive: Drive, rated_torque: float) -> dict[str, float]:
-    """`MOTOR` with another rated torque (Nm), its torque constant and DC link of the same design.
+    """Return `MOTOR` with another rated torque (Nm) and the same torque constant.
 
-    A larger drive has the larger capacitor and brake resistor that its motor needs.
+    The capacitor and the brake resistor of the DC link scale with the motor.
     """
     scale = rated_torque * 1e3 / MOTOR["motor_rated_torque"]
     values: dict[str, float] = {**MOTOR}
@@ -208,7 +208,7 @@ def _motor(drive: Drive, rated_torque: float) -> dict[str, float]:
 
 
 def _profile(velocity: float, acceleration: float) -> dict[str, float]:
-    """Speeds and ramps (drive units); limits at twice the profile, homing at a tenth."""
+    """Speeds and ramps (drive units): limits at twice the profile, homing at a tenth."""
     return {
         "max_profile_velocity": 2 * velocity,
         "profile_velocity": velocity,
@@ -238,7 +238,7 @@ def _windows(drive: Drive, per_unit: float) -> dict[str, float]:
 
 
 def _places(machine: Machine, drive: Drive, coupling, position_unit: float) -> dict[str, float]:
-    """Software limits and homing at the present place (drive units)."""
+    """Software limits and homing at the present position (drive units)."""
     model = machine.model
     joint = model.dof_jntid[coupling.dof]
     low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (0.0, 0.0)  # equal: none
@@ -252,8 +252,8 @@ def _places(machine: Machine, drive: Drive, coupling, position_unit: float) -> d
     for place in (low, high, here):
         if abs(place) / position_unit > INTEGER32:
             raise ValueError(
-                f"joint {name!r} at {place:g}: an INTEGER32 has no place for it "
-                f"in units of {position_unit:g}: choose a larger position_unit"
+                f"joint {name!r} at {place:g}: in units of {position_unit:g} this exceeds an "
+                "INTEGER32: choose a larger position_unit"
             )
     return {
         "min_position_limit": low / position_unit,

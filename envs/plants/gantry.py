@@ -1,9 +1,9 @@
 """A gantry: three axes at right angles, moved by three drives, or by four with two of them in X.
 
 X carries the bridge, Y the slide on it, Z hangs from the slide and has a holding brake. All are
-linear axes as `linear_axis` makes them, commissioned the same way. With two drives in X each moves
-a carriage on its own rail; the bridge lies on both and can skew. The payload is held by the
-gripper, or hangs from it on a cable.
+linear axes and are commissioned like those of `linear_axis`. Each of two drives in X moves a
+carriage on its own rail; the bridge lies on both carriages and can skew. The gripper holds the
+payload, or the payload hangs from it on a cable.
 """
 
 import math
@@ -32,7 +32,7 @@ MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "gantry.xml"
 FEED_CONSTANT = 0.06  # m per motor revolution
 SPAN = 0.6  # m between the rails, as in the MJCF
 PAIR = ("x1", "x2")
-MAX_SKEW = 0.03  # m; small angles, and more would tear the joints of the bridge (inferred)
+MAX_SKEW = 0.03  # m; angles stay small, and more would tear the joints of the bridge (inferred)
 # kg, between a carriage and its end of the bridge in their fastest vibration, at least: 2 kg and
 # the rotor, against the 0.35 kg·m² of bridge, slide and gripper seen at the rails
 VIBRATING_MASS = 1.0
@@ -42,7 +42,7 @@ AXES = {"x": (0.8, 17), "x1": (0.8, 17), "x2": (0.8, 17), "y": (0.5, 17), "z": (
 
 @dataclass(frozen=True)
 class GantryParameters:
-    """What can be chosen about a gantry. Raises ValueError naming field, value, range and unit."""
+    """Parameters of a gantry. Raises ValueError with field, value, range and unit."""
 
     x_drives: int = ranged(1, 1, 2, "drives in X, 1 or 2")
     payload: float = ranged(2.0, 0.0, 10.0, "kg")
@@ -76,12 +76,12 @@ class GantryParameters:
 
 
 class Gantry(Machine):
-    """A `Machine` that knows its bridge and its hanging load."""
+    """A `Machine` that measures the skew of its bridge and the sway of its load."""
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
         """Reset as `Machine.reset` does, with the bridge free of tension on its carriages.
 
-        Raises ValueError also where `positions` of x1 and x2 are more than 30 mm apart.
+        Raises ValueError also if the `positions` of x1 and x2 are more than 30 mm apart.
         """
         x1, x2 = ((positions or {}).get(name, 0.0) for name in PAIR)
         if abs(x2 - x1) > MAX_SKEW:
@@ -120,21 +120,22 @@ def gantry(
     tuned: bool = True,
     **values: float,
 ) -> Gantry:
-    """A machine with the drives ``x``, ``y`` and ``z``; strokes 0.8 m, 0.5 m and 0.3 m.
+    """Build a gantry with the drives ``x``, ``y`` and ``z``; strokes 0.8 m, 0.5 m and 0.3 m.
 
     With ``x_drives=2`` its drives are ``x1``, ``x2``, ``y`` and ``z``; `squaring.square` homes
-    the first two. Position unit 1 µm; positive Z is upwards. Homing method 17 for X and Y puts the
-    zero at the left end of the stroke; Z homes upwards, with method 18, and has its zero at the
-    upper end.
+    the first two. The position unit is 1 µm; positive Z is upwards. Homing method 17 for X and Y
+    puts the zero at the left end of the stroke; Z homes upwards, with method 18, and has its zero
+    at the upper end.
 
     Args:
         drive: drive model by name, folder or loaded, for all axes.
-        timestep: physics step (s); the velocity cycle of the drive if not given.
+        timestep: physics step (s); by default the velocity cycle of the drive.
         parameters: `GantryParameters`, or its fields as keywords.
-        tuned: as `linear_axis` has it.
+        tuned: as for `linear_axis`.
 
     Raises:
-        ValueError: unknown model, a parameter out of range, a timestep the rates do not allow.
+        ValueError: an unknown model, a parameter out of range, or a timestep that does not fit the
+            cycles of the drive.
     """
     if parameters is None:
         parameters = changed(GantryParameters(), values, "a gantry")
@@ -168,7 +169,7 @@ def gantry(
 def _made(
     drive: DriveModel, p: GantryParameters, timestep: float, names: tuple[str, ...], tuned: bool
 ) -> Gantry:
-    """Built and commissioned. Raises Unmovable where a motor or a drive cannot move it."""
+    """Build and commission a gantry. Raises Unmovable if a motor or drive cannot move it."""
     machine = Gantry(_plant(p, drive, timestep, names), dict.fromkeys(names, drive))
     for name, axis in machine.drives.items():
         _commission(machine, name, axis, p, tuned)
@@ -206,7 +207,7 @@ def _leave_carriages_out(spec: mujoco.MjSpec) -> None:
 
 
 def _lay_bridge_on_carriages(spec: mujoco.MjSpec, p: GantryParameters) -> None:
-    """Free the bridge of the drive, its friction and its stops: the carriages have them."""
+    """Move the drives, the friction and the end stops from the bridge to the carriages."""
     spec.delete(spec.actuator("x"))
     bridge, skew = spec.joint("x"), spec.joint("skew")
     bridge.armature = bridge.frictionloss = bridge.damping[0] = 0.0
@@ -215,7 +216,7 @@ def _lay_bridge_on_carriages(spec: mujoco.MjSpec, p: GantryParameters) -> None:
     for name in ("end1", "end2"):
         end = spec.tendon(name)
         end.stiffness[0], end.damping[0] = p.coupling_stiffness, p.coupling_damping
-        end.springlength = [0.0, 0.0]  # else the skew of qpos0 would be its rest
+        end.springlength = [0.0, 0.0]  # otherwise it would rest at the skew of qpos0
     for numeric in spec.numerics:
         if numeric.name.startswith("x2."):
             low, high, hysteresis = numeric.data
@@ -243,7 +244,7 @@ def _commission(machine: Gantry, name: str, drive: Drive, p: GantryParameters, t
         feed_constant=FEED_CONSTANT, max_velocity=p.max_velocity,
         max_acceleration=p.max_acceleration, payload=p.payload,
     )
-    commission(machine, name, axis, tuned and name not in PAIR)  # these get their gains below
+    commission(machine, name, axis, tuned and name not in PAIR)  # the pair is tuned below
     if not drive.model.positions:
         return  # its motor and its ramps are parameters of its own
     end, method = AXES[name]
@@ -266,7 +267,7 @@ def _micrometre(machine: Gantry, name: str) -> float:
 
 
 def _prepare_for_squaring(machine: Gantry, name: str, drive: Drive, tuned: bool) -> None:
-    """Half of the bridge is the drive's load too; one side overruns its switch by little."""
+    """Tune a drive of the pair with half of the bridge as its load, and slow its search."""
     coupling = machine.coupling(name)
     bridge = machine.model.body_subtreemass[machine.model.body("bridge").id]
     inertia = inertias(machine, name)[0] + 0.5 * float(bridge) / float(coupling.gear) ** 2

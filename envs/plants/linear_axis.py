@@ -1,4 +1,4 @@
-"""A linear axis with one drive, commissioned as a user would: through its objects."""
+"""A linear axis with one drive, commissioned through the objects of the drive."""
 
 import copy
 import functools
@@ -26,7 +26,7 @@ from .tuning import TooLight, Unmovable, gains
 MJCF = Path(str(resources.files("servogym.assets"))) / "mjcf" / "linear_axis.xml"
 
 GRAVITY = 9.81  # m/s²
-FINER = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # feeds that a refusal tries
+FINER = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # factors that a refusal tries
 
 
 def linear_axis(
@@ -40,31 +40,31 @@ def linear_axis(
     twin: str | Path | None = None,
     **values: float | None,
 ) -> Machine:
-    """A `Machine` with one linear axis, its drive called ``x``, stroke 0..0.5 m.
+    """Build a `Machine` with one linear axis and the drive ``x``, stroke 0..0.5 m.
 
-    Position unit 1 µm, velocity unit 1 µm/s, acceleration unit 1 µm/s². Limit switches lie 5 mm,
-    end stops 20 mm outside the stroke; homing method 17 puts the zero at its left end.
+    The units of the drive are 1 µm, 1 µm/s and 1 µm/s². Limit switches lie 5 mm and end stops 20 mm
+    outside the stroke; homing method 17 puts the zero at its left end.
 
     Args:
         drive: drive model by name, folder or loaded.
         mechanics: preset of the family: ``rigid``, ``toothed_belt``, ``ball_screw``,
             ``linear_motor``, ``vertical``, ``rack_pinion`` or ``ball_screw_scale``, see
             `axis_parameters`.
-        timestep: physics step (s); if not given the velocity cycle of the drive, or a fraction of
-            it where the mechanics vibrate too fast for that.
+        timestep: physics step (s); by default the velocity cycle of the drive, or a fraction of it
+            if the mechanics vibrate too fast for that.
         parameters: `LinearAxisParameters`, or its fields as keywords instead of the preset's.
-        parameter_file: where 1010h stores the drive's parameters; what it holds goes before what
-            commissions the axis.
-        tuned: gains, profile and window of the following error are what this plant and motor can
-            do; if not, the profile asked for and the gains of the rule in `tuning`, whatever comes
-            of them: the axes of the environments of version 0.
-        twin: folder of `servogym twin` that was found from the log of such an axis; its plant,
-            drive and gains, and nothing else beside.
+        parameter_file: file in which 1010h stores the parameters of the drive; its values take
+            precedence over those of commissioning.
+        tuned: limit gains, profile and following error window to the abilities of plant and motor.
+            Otherwise the profile is the requested one and the gains follow the rule in `tuning`,
+            without further checks, as in the environments of version 0.
+        twin: folder of `servogym twin` identified from the log of such an axis; it determines
+            plant, drive and gains.
 
     Raises:
-        ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
-            do not allow or that is too long for the elastic mechanics, a payload that this motor
-            or drive cannot move.
+        ValueError: an unknown model or preset, a parameter out of range, a timestep that does not
+            fit the cycles of the drive or is too long for the elastic mechanics, or a payload that
+            this motor or drive cannot move.
     """
     if twin is not None:
         return twins.machine_of(twin, linear_axis, drive)
@@ -91,7 +91,7 @@ def linear_axis(
 def _made(
     model: DriveModel, p: LinearAxisParameters, tuned: bool = True, timestep: float | None = None
 ) -> Machine:
-    """An axis built and commissioned. Raises Unmovable where motor or drive cannot move it."""
+    """Build and commission an axis. Raises Unmovable if motor or drive cannot move it."""
     usual = _timestep(p, model) if timestep is None else timestep
     plant = copy.copy(_plant(p, model.rotor_inertia, physics_step(timestep, usual)))
     machine = Machine(plant, {"x": model})
@@ -100,18 +100,18 @@ def _made(
 
 
 def _timestep(p: LinearAxisParameters, drive: DriveModel) -> float:
-    """The velocity cycle (s), or a fraction of it in which the axis can vibrate."""
+    """The velocity cycle (s), or a fraction that is short enough for the vibrations of the axis."""
     cycle = drive.cycle_time["velocity"]
     for part in (1, 2, 4):
         with suppress(TooFast):
             _plant(p, drive.rotor_inertia, cycle / part)
             return cycle / part
-    return cycle  # which says what is too fast
+    return cycle  # with which `_plant` reports the vibration
 
 
-@functools.lru_cache(maxsize=16)  # of a vector, a benchmark, a sweep all are the same
+@functools.lru_cache(maxsize=16)  # the machines of a vector or a benchmark are the same
 def _plant(p: LinearAxisParameters, rotor: float, timestep: float) -> mujoco.MjModel:
-    """The model for these parameters on a motor with the inertia `rotor` (kg·m²)."""
+    """Compile the model for these parameters and a motor with the inertia `rotor` (kg·m²)."""
     spec = mujoco.MjSpec.from_file(str(MJCF))
     gear = 2 * math.pi / p.feed_constant
     spec.option.timestep = timestep
@@ -164,12 +164,12 @@ def _mount_home_switch(spec: mujoco.MjSpec, place: float) -> None:
 
 
 def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool = True) -> None:
-    """Parameters of a drive for such an axis: motor, units, limits, windows, homing, gains.
+    """Set the parameters of a drive for a linear axis, from its motor to its gains.
 
-    Raises Unmovable where motor or drive cannot move it.
+    Raises Unmovable if motor or drive cannot move it.
     """
     x = machine.drives[name]
-    if not x.model.positions:  # its motor and its ramps are parameters of its own
+    if not x.model.positions:  # an inverter has its own parameters for motor and ramps
         if tuned:
             tuning.turned(machine, name)
         return
@@ -218,7 +218,7 @@ def commission(machine: Machine, name: str, p: LinearAxisParameters, tuned: bool
 
 
 def _would_do(model: DriveModel, p: LinearAxisParameters, refusal: Unmovable) -> str:
-    """Which payload, and which feed constant, this motor takes."""
+    """Say which payload, and which feed constant, this motor can move."""
 
     def moves(**changed: float) -> bool:
         other = replace(p, **changed)  # type: ignore[arg-type]
@@ -236,7 +236,7 @@ def _would_do(model: DriveModel, p: LinearAxisParameters, refusal: Unmovable) ->
 
 
 def factor_group(drive: Drive, units: float, turns: int = 1) -> dict[str, float]:
-    """`units` position units in so many motor revolutions, and units/s, units/s².
+    """Factors for `units` position units in `turns` motor revolutions, with units/s and units/s².
 
     The older factor group counts 65536 increments a turn, turns per 4096 min, and turns per minute
     in 256 s (DSP 402 V2, 6093h, 6094h, 6097h).

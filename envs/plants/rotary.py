@@ -1,7 +1,7 @@
-"""Axes without ends: a rotary table, a conveyor. Their position repeats after a range, 607Bh.
+"""Axes without ends: a rotary table and a conveyor. Their position repeats after a range, 607Bh.
 
-Both are a motor, a gear and something that turns: the table itself, or the roller that drives a
-belt. Values marked `inferred` are of the size catalogues give, not of one product.
+Both consist of a motor, a gear and a rotating load: the table itself, or the roller that drives a
+belt. Values marked `inferred` have the size that catalogues give; they are not those of a product.
 """
 
 from dataclasses import replace
@@ -40,24 +40,25 @@ def rotary_axis(
     twin: str | Path | None = None,
     **values: float | None,
 ) -> Machine:
-    """A `Machine` with one axis without ends, its drive called ``x``.
+    """Build a `Machine` with one axis without ends and the drive ``x``.
 
-    Position unit 0.001 degree of a table, 1 µm of a conveyor; positions repeat after a turn of the
-    table or a pitch of the conveyor (607Bh, where the model has it). A home switch comes once in
-    that range, a quarter of it from its beginning; homing method 23 puts the zero at its left edge.
+    The position unit is 0.001 degree for a table and 1 µm for a conveyor. Positions repeat after a
+    turn of the table or a pitch of the conveyor (607Bh, if the model has it). A home switch occurs
+    once in that range, at a quarter of it; homing method 23 puts the zero at its left edge.
 
     Args:
         drive: drive model by name, folder or loaded.
         mechanics: preset: ``rotary_table`` or ``conveyor``.
-        timestep: physics step (s); the velocity cycle of the drive if not given.
+        timestep: physics step (s); by default the velocity cycle of the drive.
         parameters: `RotaryParameters`, or its fields as keywords instead of the preset's.
-        tuned: as `linear_axis` has it.
-        twin: folder of `servogym twin` that was found from the log of such an axis; its plant,
-            drive and gains, and nothing else beside.
+        tuned: as for `linear_axis`.
+        twin: folder of `servogym twin` identified from the log of such an axis; it determines
+            plant, drive and gains.
 
     Raises:
-        ValueError: unknown model or preset, a parameter out of range, a timestep that the rates
-            do not allow or that is too long for the elastic mechanics.
+        ValueError: an unknown model or preset, a parameter out of range, a timestep that does not
+            fit the cycles of the drive or is too long for the elastic mechanics, or an inertia that
+            this motor or drive cannot move.
     """
     if twin is not None:
         return twins.machine_of(twin, rotary_axis, drive)
@@ -83,7 +84,7 @@ def rotary_axis(
 def _made(
     model: DriveModel, p: RotaryParameters, tuned: bool = True, timestep: float | None = None
 ) -> Machine:
-    """An axis built and commissioned. Raises Unmovable where motor or drive cannot move it."""
+    """Build and commission an axis. Raises Unmovable if motor or drive cannot move it."""
     timestep = physics_step(timestep, model.cycle_time["velocity"])
     machine = Machine(_plant(p, model, timestep), {"x": model})
     _commission(machine, p, tuned)
@@ -91,7 +92,7 @@ def _made(
 
 
 def _would_do(drive: DriveModel, p: RotaryParameters) -> str:
-    """Which inertia, and which gear ratio, this motor takes."""
+    """Say which inertia, and which gear ratio, this motor can move."""
 
     def moves(**changed: float) -> bool:
         other = replace(p, **changed)  # type: ignore[arg-type]
@@ -131,7 +132,7 @@ def _plant(p: RotaryParameters, drive: DriveModel, timestep: float) -> mujoco.Mj
 
 def _commission(machine: Machine, p: RotaryParameters, tuned: bool) -> None:
     x = machine.drives["x"]
-    if not x.model.positions:  # its motor and its ramps are parameters of its own
+    if not x.model.positions:  # an inverter has its own parameters for motor and ramps
         if tuned:
             turned(machine, "x")
         return

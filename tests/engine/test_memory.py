@@ -170,7 +170,7 @@ m = crowded(); heap(m); refused(mujoco.FatalError, "reset()", m.step)
 refused(RuntimeError, "earlier step failed", m.step); m.reset(); m.step(50); assert m.time > 0
 # it has no snapshot then, and takes one
 m = crowded(); m.step(3); s = m.snapshot(); heap(m); refused(mujoco.FatalError, "memory", m.step)
-refused(RuntimeError, "nothing to keep", m.snapshot); m.restore(s); m.step(); assert m.time > 0
+refused(RuntimeError, "no snapshot can be taken", m.snapshot); m.restore(s); m.step(); assert m.time > 0
 # a hundred times
 m = crowded()
 for _ in range(100): heap(m); refused(mujoco.FatalError, "memory", m.step); m.reset()
