@@ -1,17 +1,17 @@
-"""`bode`: measure the loops of a drive by an excitation through the drive.
+"""`bode`: measures the loops of a drive by an excitation through the drive.
 
-A multisine d of random phases is added to the torque command, anew for each of several runs, so
-that what is not linear shows as a lack of coherence. Each run is repeated on the same way with -d:
-half the difference of both is free of what repeats with the place, as cogging and gravity do. Of
-the torque command u and the measured velocity v follow, with d as the instrument and sums over all,
+A multisine d with random phases is added to the torque command. Each of several runs has new
+phases, so that nonlinear effects reduce the coherence. Each run is repeated over the same distance
+with -d: half the difference is free of effects that repeat with the position, such as cogging and
+gravity. The torque command u and the measured velocity v give, with d as the instrument and sums
+over all runs,
 
     plant = sum(v d*) / sum((u + (h - 1) d) d*)
 
-unbiased in a closed loop (Pintelon, Schoukens: System Identification, 2.6). How far the runs differ
-from it is its variance, and that gives the coherence of u and v: behind a stiff loop little is left
-of d in u, and the coherence says so. The torque command is
-sampled once a position cycle, in which d is held for n velocity cycles: h = (1 + z + ... +
-z^(n-1)) / n accounts for it.
+which is unbiased in a closed loop (Pintelon, Schoukens: System Identification, 2.6). The deviations
+of the runs give its variance, and from it the coherence of u and v: behind a stiff loop little of d
+is left in u, and the coherence is low. The torque command is sampled once per position cycle, in
+which d is held for n velocity cycles; h = (1 + z + ... + z^(n-1)) / n accounts for that.
 """
 
 import math
@@ -37,27 +37,28 @@ from .stand import (
     Stand,
 )
 
-PERIOD = 1.0  # s, of the multisine, at least: a line each Hz
-USUAL = 2.0  # Hz, lowest frequency of an axis that is not slow
-BELOW = 0.5  # of the position crossover to be expected, where that is slower
-SETTLE = 0.4  # s, of its beginning, until what is transient has gone
-LEG = SETTLE + 0.1  # s, of travel in one direction beside the multisine
+PERIOD = 1.0  # s, shortest period of the multisine: one line per Hz
+USUAL = 2.0  # Hz, lowest frequency of a usual axis
+BELOW = 0.5  # share of the expected position crossover, for a slower axis
+SETTLE = 0.4  # s at its beginning, until transients have decayed
+LEG = SETTLE + 0.1  # s of travel in one direction, besides the multisine
 BLOCKS = 4  # pairs of runs, two in each direction
-RESERVE = 4.0  # of the gain to one that only just does not oscillate
+RESERVE = 4.0  # factor below a gain that only just does not oscillate
 LEAST_AMPLITUDE = 0.005  # share of the rated torque
 LINES = 110
-HIGHEST = 0.3  # share of the position-controller rate; above it the images of the hold blur it
-SMALL, LIKE = 0.2, 0.05  # of the amplitude; rms of the logarithm of two plants that are alike
+HIGHEST = 0.3  # share of the position-controller rate; above it images of the hold disturb
+SMALL, LIKE = 0.2, 0.05  # share of the amplitude; largest rms logarithm of two equal plants
 AGAINST, SMALLER = "drives against one another", "small amplitude"
-UNSEEN = 0.03  # share of the lines, and crossover as a share of the position-controller
-HIGHEST_CROSSOVER = 0.08  # rate: above them the plant is measured behind a softer loop
-SOFT, SOFTER = 0.25, 3  # of the velocity gain, and how often it is measured at most
-DECAYING = 0.9  # of a ripple, from one look to the next
+# above these values the plant is measured behind a softer loop
+UNSEEN = 0.03  # share of the lines that are not coherent
+HIGHEST_CROSSOVER = 0.08  # crossover as a share of the position-controller rate
+SOFT, SOFTER = 0.25, 3  # share of the velocity gain, and the largest number of measurements
+DECAYING = 0.9  # ratio of a decaying ripple to the one before
 STUCK = (
-    "turns round or reaches its torque limit with the least amplitude too: what was measured is no "
-    "guide, as behind a loop too soft for the friction"
+    "reverses or reaches its torque limit even with the smallest amplitude: the measurement is "
+    "unreliable, as behind a loop too soft for the friction"
 )
-QUIET = 0.15  # of the rated torque: more ripple, before there is an excitation, is an oscillation
+QUIET = 0.15  # share of the rated torque; more ripple without an excitation is an oscillation
 
 
 def bode(
@@ -65,31 +66,32 @@ def bode(
     speed: float | None = None, lowest: float | None = None, highest: float | None = None,
     seed: int = 0,
 ) -> Response:
-    """Measure the loops of one drive of a machine, which is afterwards as it was before.
+    """Measure the loops of one drive of a machine, and restore the machine afterwards.
 
     >>> response = bode(linear_axis("generic"))                     # doctest: +SKIP
     >>> response.velocity_margins, response.position_margins        # doctest: +SKIP
 
-    The axis travels to and fro at a constant speed in mode pv, the other drives hold their
-    position. Where the loop oscillates with its own gains, it is measured with smaller ones and
-    `note` says so; the loops are always those of the gains in force. Two drives that move one
-    beam are measured together, and one against the other; the margins are the smaller ones.
+    The axis travels back and forth at a constant speed in mode pv, while the other drives hold
+    their positions. If the loop oscillates with its own gains, it is measured with lower ones, and
+    `note` reports this; the loops of the response always have the present gains. Two drives that
+    move one beam are measured together and against each other; the smaller margins count.
 
     Args:
-        machine: stands where the axis can travel.
-        drive: name of it in the machine; the first if not given.
-        amplitude: rms of the excitation, share of the rated torque 0.005..1. Halved as long as the
-            axis turns round or reaches its torque limit.
-        speed: of travel (m/s or rad/s); a tenth of the profile velocity if not given.
-        lowest: frequency (Hz), 0.2 at least; 2 if not given, or half of where a slower position
-            loop is expected to cross over.
-        highest: frequency (Hz); 0.3 of the position-controller rate if not given.
-        seed: of the random phases.
+        machine: a machine whose axis has room to travel.
+        drive: name of the drive; by default the first one.
+        amplitude: rms of the excitation as a share of the rated torque, 0.005..1. It is halved
+            while the axis reverses or reaches its torque limit.
+        speed: travel speed (m/s or rad/s); by default a tenth of the profile velocity.
+        lowest: lowest frequency (Hz), 0.2 or more; by default 2, or half the expected crossover of
+            a slower position loop.
+        highest: highest frequency (Hz); by default 0.3 of the position-controller rate.
+        seed: seed of the random phases.
 
     Raises:
-        ValueError: no such drive, one that has nothing to tune, no room, an argument out of range.
-        RuntimeError: a drive has left the run with a fault.
-        ImportError: without the package scipy.
+        ValueError: an unknown drive, one without loops to tune, too little room, or an argument out
+            of range.
+        RuntimeError: a drive has stopped with a fault.
+        ImportError: the package scipy is missing.
     """
     scipy("interpolate")
     stand = Stand(machine, drive)
@@ -112,7 +114,7 @@ def bode(
 
 
 def lowest_of(gains: Gains) -> float:
-    """The lowest frequency (Hz) that loops with these gains are measured at."""
+    """Return the lowest frequency (Hz) at which loops with these gains are measured."""
     rate = gains.position_gain
     if gains.pid is not None and gains.pid[2] > 0.0:
         rate = gains.pid[0] / gains.pid[2]
@@ -125,7 +127,7 @@ def _span(lowest: float) -> float:
 
 
 def possible(amplitude: float, seed: int) -> None:
-    """Raises ValueError for an excitation that is none."""
+    """Raise ValueError for an amplitude or a seed out of range."""
     in_range("amplitude", amplitude, LEAST_AMPLITUDE, 1.0, "of the rated torque")
     whole("seed", seed, 0, 2**63)
 
@@ -134,12 +136,12 @@ def measured(
     stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
     lowest: float, highest: float, seed: int, earlier: Response | None = None, small: bool = False,
 ) -> Response:
-    """The response of a drive that is calm, with a plant fitted to it; the loops are of `gains`.
+    """Return the response of a drive that does not oscillate, with a fitted plant and `gains`.
 
-    Two drives that move one beam are measured together, then one against the other. What was
-    measured `earlier` counts as well. Where little is left to see behind a stiff loop, the plant is
-    measured once more behind a softer one. With `small` it is measured at a small amplitude, too,
-    where a gear with backlash stays on one flank; kept if that is another plant.
+    Two drives that move one beam are measured together, then against each other. An `earlier`
+    measurement is averaged in. If little of the excitation remains behind a stiff loop, the plant
+    is measured again behind a softer one. With `small` the plant is also measured at a small
+    amplitude, at which a gear with backlash stays on one flank, and added if it differs.
     """
 
     def found(against: bool, amplitude: float, before: Response | None) -> Response:
@@ -164,7 +166,7 @@ def measured(
     if SMALLER in before:
         also[SMALLER] = before[SMALLER]
     if also.get(SMALLER) or (small and less >= LEAST_AMPLITUDE):
-        with suppress(RuntimeError):  # too little of it is coherent
+        with suppress(RuntimeError):  # too few frequencies are coherent
             other = found(False, less, also.get(SMALLER))
             if also.get(SMALLER) or (other.amplitude == less and main.differs(other) > LIKE):
                 also[SMALLER] = other
@@ -172,9 +174,9 @@ def measured(
 
 
 def _doubt(response: Response, gains: Gains) -> float:
-    """Above 1 where the loop it was measured in, that of `gains`, was too stiff for it.
+    """Return a number above 1 if the loop of the measurement, that of `gains`, was too stiff.
 
-    Little is then left to see of the lines below its crossover, and its torque changes between two
+    Lines below the crossover of such a loop are hardly visible, and its torque changes between two
     samples.
     """
     unseen = float(np.mean(response.coherence < LEAST_COHERENCE))
@@ -184,7 +186,7 @@ def _doubt(response: Response, gains: Gains) -> float:
 
 
 def calm(stand: Stand) -> str:
-    """Make the gains smaller as long as the velocity loop oscillates; -> what was done."""
+    """Lower the gains while the velocity loop oscillates; -> a note on that."""
     before = gains_of(stand.drive)
     share, moving = 1.0, stand.machine.snapshot()
     while _oscillates(stand):
@@ -219,7 +221,7 @@ def _oscillates(stand: Stand) -> bool:
     if any(run[:, LIMITED].any() for run in runs):
         return True
     first, second = (float(np.std(run[:, TORQUE])) for run in runs)
-    # a load that swings on its spring comes to rest, which is not an oscillation of the loop
+    # a load on a spring comes to rest, which an oscillation of the loop does not
     return second > QUIET * float(stand.drive.axis.rated_torque) and second > DECAYING * first
 
 
@@ -278,7 +280,7 @@ def _measure(
     torque, velocity, moved = (signal * d.conj() for signal in (u + (held - 1) * d, v, x))
     plant = velocity.sum(axis=0) / torque.sum(axis=0)
     noise = (abs(velocity - plant * torque) ** 2).sum(axis=0) / (len(blocks) - 1)
-    # relative variance of one run; few runs tell it badly, so it is that of neighbours as well
+    # relative variance of one run; few runs estimate it badly, so neighbours are averaged
     noise = mean_of_neighbours(noise / abs(velocity.mean(axis=0)) ** 2)
     return Response(
         drive=stand.name, model=stand.drive.model.name, frequencies=frequencies,
@@ -286,7 +288,7 @@ def _measure(
         position_plant=moved.sum(axis=0) / (0.5 * (z**cycles - z**-cycles)) / torque.sum(axis=0),
         coherence=1 / (1 + noise),
         gains=gains, cycle=cycle, cycles=cycles,
-        # the filter of an observer is in the plant
+        # the plant includes the filter of an observer
         velocity_filter=float(stand.drive.axis.velocity_filter) or 1.0,
         amplitude=amplitude, speed=speed,
         unit=stand.unit, filters=filters_of(stand.drive), note=note,

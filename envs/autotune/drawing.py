@@ -15,11 +15,11 @@ DOTS_PER_INCH = 110
 
 
 def draw_bode(responses: Sequence[tuple[str, Any]], path: Path) -> None:
-    """Gain and phase of both loops with their margins, and the coherence, as a PNG.
+    """Draw gain and phase of both loops with their margins, and the coherence, as a PNG.
 
     Args:
-        responses: with their names.
-        path: of the picture.
+        responses: names and responses.
+        path: path of the picture.
     """
     figure = Figure(figsize=(11, 8), layout="constrained")
     grid = figure.subplots(3, 2, sharex=True, height_ratios=(3, 3, 1.2))
@@ -41,7 +41,7 @@ def draw_bode(responses: Sequence[tuple[str, Any]], path: Path) -> None:
 def loops(
     upper: Sequence[Axes], lower: Sequence[Axes], responses: Sequence[tuple[str, Any]]
 ) -> None:
-    """Gain into the `upper` panels, phase into the `lower`: velocity loop, position loop."""
+    """Draw gain into the `upper` and phase into the `lower` panels, for both loops."""
     for (name, response), colour in zip(responses, COLOURS, strict=False):
         kinds = (
             (response.velocity_loop, response.velocity_margins),
@@ -68,9 +68,9 @@ def loops(
 def _line(
     gain: Axes, phase: Axes, response: Any, loop: np.ndarray, **look: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw a loop where it has been seen; -> what is drawn, and its phase (degree)."""
-    seen = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
-    loop = np.where(seen, loop, np.nan)
+    """Draw a loop at coherent frequencies; -> its values there, and its phase (degree)."""
+    measured = (response.coherence >= LEAST_COHERENCE) & (abs(loop) < TOO_HIGH)
+    loop = np.where(measured, loop, np.nan)
     degrees = _unwrapped(loop)
     gain.semilogx(response.frequencies, 20 * np.log10(abs(loop)), **look)
     phase.semilogx(response.frequencies, degrees, **{**look, "label": None})
@@ -78,7 +78,7 @@ def _line(
 
 
 def _unwrapped(loop: np.ndarray) -> np.ndarray:
-    """Phase (degree), between -270 and 90 where the gain is last above 1."""
+    """Phase (degree), between -270 and 90 at the highest frequency with a gain above 1."""
     degrees = np.full(len(loop), np.nan)
     seen = np.isfinite(loop)
     if seen.any():
@@ -93,7 +93,7 @@ def _mark(
     gain: Axes, phase: Axes, found: Margins, frequencies: np.ndarray, loop: np.ndarray,
     degrees: np.ndarray, colour: str,
 ) -> None:
-    """Draw the margins where they are, if that is where it was measured."""
+    """Draw the margins at their frequencies, if these were measured."""
     low, high = frequencies[0], frequencies[-1]
     seen = np.isfinite(degrees)
     if low <= found.crossover <= high:
@@ -106,7 +106,7 @@ def _mark(
 
 
 def finish(figure: Figure, panels: Sequence[Any], path: Path) -> None:
-    """Grids, legends, and the file."""
+    """Add grids and legends, and write the file."""
     for axes in panels:
         axes.grid(alpha=0.3, which="both")
         if axes.get_legend_handles_labels()[0]:
@@ -116,7 +116,7 @@ def finish(figure: Figure, panels: Sequence[Any], path: Path) -> None:
 
 
 def draw_tuned(tuned: Any, path: Path) -> None:
-    """Before and after of a `Tuned`: loops with margins, step, move and its following error."""
+    """Draw a `Tuned` before and after: loops with margins, step, move and following error."""
     figure = Figure(figsize=(12, 11), layout="constrained")
     rows = figure.subplots(4, 2, height_ratios=(3, 2.4, 2.4, 2.4))
     responses = [("before", tuned.before), ("after", tuned.after)]

@@ -1,4 +1,4 @@
-"""Gains for margins asked for: `plants.loops.fastest` with a plant that was measured."""
+"""Gains for required margins, by `plants.loops.fastest` with a measured plant."""
 
 from collections.abc import Mapping
 
@@ -10,10 +10,10 @@ from .response import Response
 
 
 class Requirements(loops.RequiredMargins):
-    """The least margins of both loops, with a check of a measured response."""
+    """The smallest permitted margins of both loops, with a check of a measured response."""
 
     def kept(self, response: Response) -> bool:
-        """Whether a measured response has these margins."""
+        """Return whether a measured response has these margins."""
         velocity, position = response.velocity_margins, response.position_margins
         return position.measured and all(
             found.stable and found.sure >= self.gain and found.phase >= self.phase
@@ -25,13 +25,13 @@ def fit(
     response: Response, asked: loops.RequiredMargins, ease: float = 1.0,
     allowed: Mapping[str, tuple[float, float]] = loops.ANY,
 ) -> Gains | None:
-    """Gains that keep the margins with a reserve; None: there are none.
+    """Return gains that keep the margins with a reserve; None without any.
 
     Args:
-        response: of the plant, with a fitted one.
-        asked: margins.
-        ease: share of the velocity gain that was found to use, 1 for all of it.
-        allowed: what the drive takes, of `plants.loops.ranges`.
+        response: a measured response with a fitted plant.
+        asked: required margins.
+        ease: share of the highest velocity gain that is used.
+        allowed: gains that the drive accepts, as `plants.loops.ranges` returns them.
     """
     plants = [each.wide_plant for each in (response, *(other for _, other in response.also))]
     pid = response.gains.pid is not None
@@ -39,15 +39,15 @@ def fit(
 
 
 def why_not(response: Response, asked: Requirements) -> str:
-    """What stands in the way of the margins, in words."""
+    """Explain why the margins are not reached."""
     loops = {"velocity": response.velocity_margins, "position": response.position_margins}
     if not loops["position"].measured:
         return f"the position loop crosses over below {LOWEST:g} Hz, where nothing is measured"
-    turning = [name for name, found in loops.items() if not found.stable]
-    if turning and all(m.sure >= asked.gain and m.phase >= asked.phase for m in loops.values()):
+    unstable = [name for name, found in loops.items() if not found.stable]
+    if unstable and all(m.sure >= asked.gain and m.phase >= asked.phase for m in loops.values()):
         return (
-            f"the {' and the '.join(turning)} loop as measured goes round -1 (Nyquist), so its "
-            "margins are not proof; measure with a larger amplitude"
+            f"the {' and the '.join(unstable)} loop as measured goes round -1 (Nyquist), so its "
+            "margins are no proof; measure with a larger amplitude"
         )
     assert response.fitted is not None
     delay = response.fitted.delay + 1.5 * response.cycle

@@ -1,4 +1,4 @@
-"""Fit a plant of few numbers to a measured response."""
+"""Fits a plant with few parameters to a measured response."""
 
 import math
 
@@ -10,11 +10,11 @@ from .needs import scipy
 from .plant import Plant, Resonance, lag_and_filter, mechanics, sampled
 from .response import Response
 
-PROMINENCE = 5.0  # dB over a plant without resonances; smaller ones do not matter to a loop
+PROMINENCE = 5.0  # dB above a plant without resonances; smaller peaks do not affect a loop
 MOST = 3  # resonances
-DAMPING = 0.02  # to begin with
-SPREAD = 1.5  # of a frequency in the fit
-EXPLAINS = 1.5  # times less is left unexplained with one resonance, or a delay, more
+DAMPING = 0.02  # initial value of the fit
+SPREAD = 1.5  # range of a frequency in the fit, as a factor
+EXPLAINS = 1.5  # factor by which a further resonance, or a delay, has to reduce the residual
 NO_DELAY, LONGEST_DELAY = 1e-6, 4.0  # ms
 
 Pair = tuple[float, float, float, float]  # antiresonance (Hz), its damping, resonance, damping
@@ -24,12 +24,12 @@ def identify(response: Response, drive: Drive) -> Plant:
     """Fit a plant to a response.
 
     Args:
-        response: measured.
-        drive: whose it is.
+        response: a measured response.
+        drive: the drive that was measured.
 
     Raises:
-        RuntimeError: too little of it is coherent.
-        ImportError: without scipy.
+        RuntimeError: too few frequencies are coherent.
+        ImportError: scipy is missing.
     """
     good = response.coherence >= LEAST_COHERENCE
     if good.sum() < 12:
@@ -41,7 +41,7 @@ def identify(response: Response, drive: Drive) -> Plant:
     lag, share = _shares(drive, response)
     measured = response.plant[good]
     mechanical = measured / lag_and_filter(frequencies, response.cycle, lag, share)
-    weight = np.sqrt(np.gradient(np.log(frequencies)))  # as much a decade everywhere
+    weight = np.sqrt(np.gradient(np.log(frequencies)))  # the same for each decade
     weight = weight / np.sqrt(np.mean(weight**2))
 
     def residual(x: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ def identify(response: Response, drive: Drive) -> Plant:
     solve = scipy("optimize").least_squares
 
     def fitted(candidates: list[tuple[float, float]], longest: float) -> tuple[float, np.ndarray]:
-        """Score and parameters, with these pairs and up to this delay (ms)."""
+        """Return score and parameters of a fit with these pairs, and up to this delay (ms)."""
         start = [math.log(inertia), math.log(2 * math.pi * frequencies[0] * inertia * 0.05), 0.0]
         low = [start[0] - 3.0, start[1] - 12.0, -1e-9]
         high = [start[0] + 3.0, start[1] + 6.0, longest]
@@ -69,7 +69,7 @@ def identify(response: Response, drive: Drive) -> Plant:
             low += [middle[0] - spread, -9.0, middle[2] - spread, -9.0]
             high += [middle[0] + spread, 0.5, middle[2] + spread, 0.5]
         found = solve(residual, start, bounds=(low, high), loss="soft_l1", f_scale=0.2, max_nfev=80)
-        # what is more has to explain a good deal more
+        # further parameters have to reduce the residual considerably
         return found.cost * EXPLAINS ** (len(candidates) + (longest > NO_DELAY)), found.x
 
     inertia = _inertia(frequencies, mechanical)
@@ -90,7 +90,7 @@ def identify(response: Response, drive: Drive) -> Plant:
 
 
 def _open(x: np.ndarray) -> tuple[tuple[float, float, float], list[Pair]]:
-    """Parameters of the fit -> inertia, viscous friction, delay, and pairs."""
+    """Split the parameters of the fit into inertia, viscous friction, delay, and pairs."""
     inertia, viscous = np.exp(x[:2]).tolist()
     rows = np.exp(x[3:]).reshape(-1, 4).tolist()
     pairs = [(row[0], row[1], row[2], row[3]) for row in rows]
@@ -109,13 +109,13 @@ def _inertia(frequencies: np.ndarray, measured: np.ndarray) -> float:
 
 
 def _candidates(frequencies: np.ndarray, measured: np.ndarray) -> list[list[tuple[float, float]]]:
-    """Pairs of antiresonance and resonance to try: none, the clearest one, two, …"""
+    """Return pairs of antiresonance and resonance to try: none, the clearest one, two, …"""
     level = 20 * np.log10(abs(measured) * frequencies)
     peaks, seen = scipy("signal").find_peaks(level, prominence=PROMINENCE)
     found = []
     for n, (peak, prominence) in enumerate(zip(peaks, seen["prominences"], strict=True)):
         begin = int(peaks[n - 1]) if n else 0
-        dip = begin + int(np.argmin(level[begin:peak]))  # the lowest place before it
+        dip = begin + int(np.argmin(level[begin:peak]))  # the minimum before the peak
         found.append((prominence, float(frequencies[dip]), float(frequencies[peak])))
     found.sort(reverse=True)
     return [[(dip, peak) for _, dip, peak in found[:n]] for n in range(min(len(found), MOST) + 1)]

@@ -1,4 +1,4 @@
-"""Margins of an open loop that is known at some frequencies."""
+"""Margins of an open loop that is given at some frequencies."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -8,32 +8,32 @@ import numpy as np
 
 from .needs import scipy
 
-LEAST_COHERENCE = 0.8  # of what counts as measured
-TOO_HIGH = 30.0  # of a loop: above it too little of the excitation is left to tell the phase
-# degree that a measured loop may be wrong by where it is close to -180: beside an antiresonance of
-# 0.6 % damping, narrower than the lines are apart, its phase was measured about 6 degrees off
+LEAST_COHERENCE = 0.8  # from which a frequency counts as measured
+TOO_HIGH = 30.0  # gain of a loop above which too little excitation is left to measure its phase
+# possible error (degree) of a measured loop close to -180 degrees: near an antiresonance with 0.6 %
+# damping, narrower than the distance of the lines, the phase was measured about 6 degrees off
 UNSURE = 8.0
-FARTHEST = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
+FARTHEST = math.radians(225)  # phase lag at which a loop with two integrators may begin
 
 Loop = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability margins of one loop; infinite where the loop has no such crossing."""
+    """Stability margins of one loop; infinite if the loop has no such crossing."""
 
     gain: float  # dB
     phase: float  # degree
     crossover: float  # Hz
     phase_crossover: float  # Hz
     stable: bool
-    # dB, where the loop comes within UNSURE degrees of -180 and turns back; at a resonance between
-    # two measured lines that cannot be told from a crossing
+    # gain margin (dB) where the loop comes within UNSURE degrees of -180 and turns back; at a
+    # resonance between two measured lines this cannot be distinguished from a crossing
     doubtful: float = field(default=math.inf, compare=False)
 
     @property
     def sure(self) -> float:
-        """Gain margin (dB) where coming close to -180 degrees counts as crossing it."""
+        """Gain margin (dB) if coming close to -180 degrees counts as crossing it."""
         return min(self.gain, self.doubtful)
 
     @property
@@ -42,7 +42,7 @@ class Margins:
         return math.isfinite(self.crossover)
 
     def and_of(self, others: Iterable["Margins"]) -> "Margins":
-        """The smallest ones of several loops, and where they are."""
+        """Return the smallest margins of several loops, and their frequencies."""
         loops = [self, *others]
         gain = min(loops, key=lambda each: each.gain)
         phase = min(loops, key=lambda each: each.phase)
@@ -65,10 +65,10 @@ class Margins:
 
 
 def crossings(omega: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray, Loop]:
-    """Where a loop crosses -180 degrees, where it crosses 1, and the loop between its frequencies.
+    """Return where a loop crosses -180 degrees, where it crosses 1, and an interpolated loop.
 
-    A cubic spline goes through the points. The numbers are those of `stability_margins` of
-    python-control, which asks its spline for one frequency at a time.
+    The interpolation is a cubic spline. The results are those of `stability_margins` of
+    python-control, which evaluates its spline at one frequency at a time.
     """
     interpolate, brentq = scipy("interpolate"), scipy("optimize").brentq
     weights, degree = 1 / (np.abs(loop) + 0.001), min(3, len(loop) - 1)
@@ -95,7 +95,7 @@ def crossings(omega: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
-    """Margins of an open loop that is stable but for its integrators.
+    """Return the margins of an open loop without unstable poles other than integrators.
 
     Args:
         frequencies: Hz, shape ``(n,)``, from far below the crossover to far above it.
@@ -107,7 +107,7 @@ def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
     decibel = np.abs(20 * np.log10(np.maximum(gains, 1e-9)))
     worst = int(np.argmin(decibel)) if len(decibel) else None
     least = int(np.argmin(np.abs(phases))) if len(phases) else None
-    # Nyquist: from far away, at -90 degrees for each integrator, 1 + L comes home without a turn
+    # Nyquist: 1 + L begins at -90 degrees for each integrator and ends without encircling 0
     turned = np.unwrap(np.angle(1 + loop))
     begin = (turned[0] + FARTHEST) % (2 * math.pi) - FARTHEST
     end = begin + turned[-1] - turned[0]
@@ -122,7 +122,7 @@ def margins(frequencies: np.ndarray, loop: np.ndarray) -> Margins:
 
 
 def _doubtful(omega: np.ndarray, loop: np.ndarray, crossed: np.ndarray) -> float:
-    """Smallest gain margin (dB) where a loop is close to -180 degrees and does not cross it."""
+    """Smallest gain margin (dB) where a loop comes close to -180 degrees without a crossing."""
     close = np.abs(np.angle(-loop, deg=True)) <= UNSURE
     ends = np.flatnonzero(np.diff(np.concatenate([[False], close, [False]])))
     least = math.inf

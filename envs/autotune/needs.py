@@ -1,4 +1,4 @@
-"""The package that the mathematics needs: the extra ``servogym[tune]``."""
+"""Loads the optional package scipy, of the extra ``servogym[tune]``."""
 
 import importlib
 from functools import cache
@@ -7,7 +7,7 @@ from types import ModuleType
 
 @cache
 def scipy(module: str) -> ModuleType:
-    """A module of scipy. Raises ImportError with the command that installs it."""
+    """Return a module of scipy. Raises ImportError with the command that installs it."""
     try:
         return importlib.import_module(f"scipy.{module}")
     except ImportError:

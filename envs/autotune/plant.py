@@ -1,10 +1,11 @@
-"""A plant in few numbers, fitted to a measured response: inertia, resonances, delay.
+"""A plant with few parameters, fitted to a measured response: inertia, resonances, delay.
 
     plant(z) = lag(z) filter(z) exp(-s delay) 1 / (J (z - 1) / T + b) product of
                (s²/wa² + 2 da s/wa + 1) / (s²/wr² + 2 dr s/wr + 1),          s = 2 pi i f
 
-Lag of the current loop and filter of the velocity are those of the drive. An antiresonance wa is
-where a load swings on its spring against a motor that stands still; wr where both swing.
+The lag of the current loop and the filter of the velocity are those of the drive. At an
+antiresonance wa the load vibrates on its spring while the motor stands still; at a resonance wr
+both vibrate.
 """
 
 from collections.abc import Callable, Iterable
@@ -28,15 +29,15 @@ class Resonance:
 
 @dataclass(frozen=True)
 class Plant:
-    """What a drive moves, seen from the motor shaft."""
+    """The plant of a drive, as seen at the motor shaft."""
 
-    inertia: float  # kg·m², all of it
-    viscous: float  # Nm·s/rad, of the fit; `Friction` has it measured
-    delay: float  # s, beyond what lag and filter explain
+    inertia: float  # kg·m², total
+    viscous: float  # Nm·s/rad, of the fit; `Friction` has the measured value
+    delay: float  # s, beyond lag and filter
     resonances: tuple[Resonance, ...]
     cycle: float  # s
-    lag: float  # share of the new value, each velocity cycle
-    filter: float
+    lag: float  # share of the new value in each velocity cycle
+    filter: float  # the same
     error: float  # rms of the fit (dB)
 
     def __call__(self, frequencies: np.ndarray) -> np.ndarray:
@@ -54,15 +55,15 @@ class Plant:
 def sampled(
     response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray, cycle: float, cycles: int
 ) -> np.ndarray:
-    """A response in z as samples of each position cycle show it, its input held for one.
+    """Return a response in z as sampled once per position cycle, with its input held for one.
 
-    The hold has images at all multiples of that rate, which the samples fold back.
+    The hold has images at all multiples of that rate, which sampling folds back.
 
     Args:
-        response: at frequencies of both signs (Hz).
-        frequencies: Hz, shape ``(n,)``.
-        cycle: of the response (s).
-        cycles: of it in a position cycle.
+        response: the response at frequencies of both signs (Hz).
+        frequencies: frequencies (Hz), shape ``(n,)``.
+        cycle: cycle of the response (s).
+        cycles: number of these cycles in a position cycle.
     """
     rate, whole, first = 1 / cycle, np.zeros(len(frequencies), complex), None
     for k in range(cycles):

@@ -1,7 +1,7 @@
 """Frequency responses of a drive's loops, and their margins.
 
-The loops are the measured plant behind the controllers as `kernel.cascade` computes them, with the
-drive's own gains:
+The loops consist of the measured plant and the controllers that `kernel.cascade` computes, with the
+gains of the drive:
 
     velocity loop = kp (1 + T / Ti / (z - 1)) plant
     position loop = kv hold kp (1 + T / Ti / (z - 1)) / (1 + velocity loop) plant of the position
@@ -21,11 +21,11 @@ from ..plants.loops import Filters, Gains, LoopPlant
 from .margins import TOO_HIGH, Margins, margins
 from .plant import Plant, sampled
 
-CERTAIN = 3.0  # a loop above it needs nothing below to tell whether it is stable
+CERTAIN = 3.0  # gain of a loop above which lower frequencies do not affect its stability
 GRID = 300  # frequencies
 NEIGHBOURS = np.array([1.0, 3.0, 4.0, 3.0, 1.0])  # weights of a mean over measured lines
-APART = 0.3  # of the logarithm, beyond the last line that was measured, where the fit holds
-TRUST = 20.0  # in the fit, over what was measured: its weight where coherence is 0.95
+APART = 0.3  # distance (logarithm) beyond the measured lines from which the fit is used
+TRUST = 20.0  # weight of the fit, that of a measurement with a coherence of 0.95
 
 
 def mean_of_neighbours(values: np.ndarray) -> np.ndarray:
@@ -37,9 +37,9 @@ def mean_of_neighbours(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Response:
-    """What was measured of one drive, and what its loops are with some gains.
+    """The measured plant of one drive, and its loops with some gains.
 
-    Arrays have shape ``(n,)``, one value a frequency.
+    Arrays have shape ``(n,)``, one value per frequency.
     """
 
     drive: str
@@ -50,7 +50,7 @@ class Response:
     coherence: np.ndarray  # 0..1 of velocity and torque command
     gains: Gains
     cycle: float  # s, velocity controller
-    cycles: int  # of it in one of the position controller
+    cycles: int  # velocity cycles in a position cycle
     velocity_filter: float  # share of the new sample, per velocity cycle
     amplitude: float  # rms of the excitation, share of the rated torque
     speed: float  # of travel, m/s or rad/s of the joint
@@ -58,23 +58,23 @@ class Response:
     filters: Filters | None = None  # of the torque command
     note: str = ""
     fitted: Plant | None = None
-    fitted_load: Plant | None = None  # the same to the speed of a second encoder, at the load
-    # the same otherwise excited, by name; of all the smallest margins count
+    fitted_load: Plant | None = None  # fit to the speed of a second encoder, at the load
+    # responses to other excitations, by name; the smallest margins of all count
     also: tuple[tuple[str, "Response"], ...] = ()
 
     def with_gains(self, gains: Gains) -> "Response":
         """Return the response of the same plant with other gains."""
         if not isinstance(gains, Gains):
-            raise ValueError(f"gains = {gains!r}: give Gains, as gains_of(drive) has them")
+            raise ValueError(f"gains = {gains!r}: give Gains, such as gains_of(drive)")
         also = tuple((name, other.with_gains(gains)) for name, other in self.also)
         return replace(self, gains=gains, also=also)
 
     @cached_property
     def wide(self) -> "Response":
-        """Fine, and to the Nyquist frequency: the fitted plant, corrected by what was measured.
+        """The fitted plant on a fine grid to the Nyquist frequency, corrected by the measurement.
 
-        The correction is a mean over neighbours, weighted by how well they are known; so a narrow
-        antiresonance between two lines is where the fit has it.
+        The correction is a mean over neighbouring lines, weighted by their accuracy. A narrow
+        antiresonance between two lines therefore stays at the frequency of the fit.
         """
         if self.fitted is None:
             return self
@@ -88,15 +88,15 @@ class Response:
         ]
         frequencies = np.unique(np.concatenate([frequencies, *narrow]))
         frequencies = frequencies[(frequencies > 0.05) & (frequencies < 0.499 / self.cycle)]
-        seen = self._sampled(self.fitted)
-        plant = self.fitted(frequencies) * self._smooth(self.plant / seen, frequencies)
+        expected = self._sampled(self.fitted)
+        plant = self.fitted(frequencies) * self._smooth(self.plant / expected, frequencies)
         load, fitted = self.fitted_load, self.fitted_load or self.fitted
         per_velocity = self._position_per_velocity
         turned = self._sampled(lambda f: fitted(f) * per_velocity(f))
-        if load:  # whose antiresonances are not those of the motor
+        if load:  # its antiresonances differ from those of the motor
             position = load(frequencies) * self._smooth(self.position_plant / turned, frequencies)
         else:
-            ratio = self.position_plant / turned / (self.plant / seen)
+            ratio = self.position_plant / turned / (self.plant / expected)
             position = plant * self._smooth(ratio, frequencies)
         return replace(
             self, frequencies=frequencies, plant=plant,
@@ -106,7 +106,7 @@ class Response:
 
     @property
     def of_load(self) -> "Response":
-        """The same from torque to the speed of what the position is measured at."""
+        """The response from torque to the speed at the encoder that measures the position."""
         per_velocity = self._position_per_velocity(self.frequencies)
         return replace(self, plant=self.position_plant / per_velocity)
 
@@ -114,10 +114,10 @@ class Response:
         return sampled(response, self.frequencies, self.cycle, self.cycles)
 
     def _smooth(self, ratio: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
-        """A ratio at the measured frequencies, smoothed, at others."""
+        """Smooth a ratio at the measured frequencies and interpolate it at others."""
         weight = mean_of_neighbours(self._weight)
         mean = (mean_of_neighbours(ratio * self._weight) + TRUST) / (weight + TRUST)
-        # the fit stands in for what was not measured
+        # beyond the measured lines the fit is used alone
         place, known = np.log(frequencies), np.log(self.frequencies)
         known = np.concatenate([known[:1] - APART, known, known[-1:] + APART])
         mean = np.concatenate([[1.0], mean, [1.0]])
@@ -129,13 +129,13 @@ class Response:
         return self.coherence / np.maximum(1 - self.coherence, 1e-3)
 
     def with_earlier(self, other: "Response | None") -> "Response":
-        """Return the response with the plant averaged with an earlier measurement, by weight.
+        """Return the response with its plant averaged with an earlier measurement, by weight.
 
-        Behind a stiff loop little is left to see at low frequencies, behind a soft one at none.
+        A stiff loop suppresses the excitation at low frequencies, a soft one does not.
         """
         if other is None:
             return self
-        # other gains may ask for other lines
+        # with other gains the lines may differ
         _, at, there = np.intersect1d(self.frequencies, other.frequencies, return_indices=True)
         own, earlier = self._weight[at], other._weight[there]
         both = np.maximum(own + earlier, 1e-9)
@@ -147,7 +147,7 @@ class Response:
         return replace(self, plant=plant, position_plant=position, coherence=coherence)
 
     def differs(self, other: "Response") -> float:
-        """Rms of the logarithm of the ratio of two plants, as far as both are known."""
+        """Return the rms logarithm of the ratio of two plants, weighted by their accuracy."""
         weight = 1 / (1 / self._weight + 1 / other._weight)
         ratio = np.abs(np.log(other.plant / self.plant)) ** 2
         return math.sqrt(float((weight * ratio).sum() / weight.sum()))
@@ -225,7 +225,7 @@ class Response:
         return "\n".join([*lines, *([self.note] if self.note else [])])
 
     def save(self, path: str | Path) -> None:
-        """Write the response; the suffix chooses: .csv for the numbers, .png for a picture.
+        """Write the response: numbers with the suffix .csv, a picture with the suffix .png.
 
         Raises ValueError for another suffix.
         """

@@ -1,9 +1,9 @@
-"""The test stand: one drive of a machine that travels at a constant speed while it is excited.
+"""The test stand: one drive of a machine travels at a constant speed while it is excited.
 
-The excitation is the torque offset (60B2h; of a model without the object, the same field of its
-record, as the measuring function of a maker's own tool has it). It is added before the torque
-limit, so everything it does goes through the drive's own cascade and limits. While the axis
-travels, friction keeps its sign.
+The excitation is the torque offset 60B2h. For a model without this object it is the same field of
+the record, as in the measuring function of a manufacturer's tool. It is added before the torque
+limit, so it passes through the cascade and the limits of the drive. While the axis travels,
+friction keeps its sign.
 """
 
 import math
@@ -22,32 +22,32 @@ from ..plants.gantry import PAIR
 from ..plants.loops import Gains, gains_of, in_units
 
 SAMPLED = ("torque_offset", "torque_command", "velocity", "position", "limits")
-ROOM = 0.9  # share of the free way that a run may use
-CYCLES_OF_A_RAMP = 20  # at least, so that a change of speed has ended
-BEHIND = 0.2  # of the speed asked for, at most, when it has come
-PATIENCE, WAITING = 5.0, 0.3  # s, and share of the free way, until it is given up
-# what is sampled after each position cycle
+ROOM = 0.9  # share of the free travel that a run may use
+CYCLES_OF_A_RAMP = 20  # shortest wait for a change of speed
+BEHIND = 0.2  # largest deviation from the requested speed, as a share of it
+PATIENCE, WAITING = 5.0, 0.3  # longest wait for it: s, and share of the free travel
+# columns of the samples of a run
 OFFSET, TORQUE, VELOCITY, POSITION, LIMITED, TURNED = range(6)
 
 
 class Stand:
-    """Runs of one drive of a machine. The machine is as it was after `put_back`.
+    """Runs of one drive of a machine; `put_back` restores the machine.
 
-    Two drives that move one beam run together: alike, or one against the other.
+    Two drives that move one beam run together, or against each other.
 
     Args:
-        machine: powered on; the drive may be enabled or not.
-        name: of the drive; the first of the machine if not given.
+        machine: the machine; the drive may be enabled or not.
+        name: name of the drive; by default the first one.
 
     Raises:
-        ValueError: no such drive, or one without a position and velocity controller.
+        ValueError: an unknown drive, or one without a position and velocity controller.
     """
 
     def __init__(self, machine: Machine, name: str | None = None):
         if not isinstance(machine, Machine):
             raise ValueError(
-                f"machine = {machine!r}: give a Machine, as linear_axis() makes one; of an "
-                "environment it is env.machine"
+                f"machine = {machine!r}: give a Machine, such as linear_axis(), or env.machine of "
+                "an environment"
             )
         name = next(iter(machine.drives)) if name is None else name
         if name not in machine.drives:
@@ -71,15 +71,15 @@ class Stand:
         self.master = Master(MachinePort(machine), *servos)
 
     def put_back(self) -> None:
-        """Let the machine be what it was when the stand was made."""
+        """Restore the machine to its state when the stand was made, or at the last `keep`."""
         self.machine.restore(self._kept)
 
     def keep(self) -> None:
-        """Put back to what the machine is now, from now on."""
+        """Make the present state of the machine the one that `put_back` restores."""
         self._kept = self.machine.snapshot()
 
     def start(self) -> None:
-        """Enable all drives; those that do not travel hold their position."""
+        """Enable all drives; those that do not travel hold their positions."""
         self.master.reset_fault()
         for name in self.master.axes:
             moves = name in self.movers
@@ -91,7 +91,7 @@ class Stand:
         self.refuse_hot()
 
     def refuse_hot(self) -> None:
-        """Raise RuntimeError where I²t holds a drive back: what then is measured is the limit."""
+        """Raise RuntimeError if I²t limits a drive, since the limit would be measured."""
         for name in self.movers:
             axis = self.machine.drives[name].axis
             if int(axis.od.active_limits) & Limit.I2T:
@@ -101,7 +101,7 @@ class Stand:
                 )
 
     def commission(self, objects: dict[str, int]) -> None:
-        """Set objects of the drive, and of one that moves the same beam."""
+        """Set objects of the drive, and of the other drive on the same beam."""
         for name in self.movers:
             self.machine.drives[name].commission(objects)
 
@@ -117,7 +117,7 @@ class Stand:
 
     @property
     def room(self) -> tuple[float, float]:
-        """Free way to the left and to the right (m or rad), to the limits of drive and joint."""
+        """Free travel to the left and to the right (m or rad), to the limits of drive and joint."""
         here, coupling = self.place, self.machine.coupling(self.name)
         low, high = self.machine.range(self.name)
         for first, last in zip(coupling.switch_from[:2], coupling.switch_to[:2], strict=True):
@@ -135,12 +135,12 @@ class Stand:
         return here - low, high - here
 
     def fastest(self, duration: float) -> float:
-        """Highest travel speed for that long (s) at the joint, by motor and room (m/s or rad/s)."""
+        """Return the highest speed of the joint for a duration (s), in m/s or rad/s."""
         motor = float(self.drive.axis.max_speed) / abs(self.gear)
         return min(motor, ROOM * max(self.room) / duration)
 
     def speed(self, duration: float, share: float = 0.1) -> float:
-        """Travel speed at the joint: a share of 6081h, less if there is no room (m/s or rad/s)."""
+        """Return a share of 6081h as the speed of the joint, less without room (m/s or rad/s)."""
         wanted = share * float(self.drive.axis.profile_speed) / abs(self.gear)
         free = max(self.room)
         if free * ROOM < wanted * duration * 0.02:
@@ -151,12 +151,12 @@ class Stand:
         return min(wanted, ROOM * free / duration)
 
     def direction(self, way: float) -> float:
-        """Where there is room for `way` (m or rad), the wider side first; 1 or -1."""
+        """Return the direction, 1 or -1, with room for `way` (m or rad), the wider side first."""
         left, right = self.room
         return 1.0 if right >= max(left, way) or right >= way > left else -1.0
 
     def travel(self, speed: float) -> None:
-        """Ask for a speed of the joint (m/s or rad/s)."""
+        """Command a speed of the joint (m/s or rad/s)."""
         self._heading = math.copysign(1.0, speed * self.gear)
         for name in self.movers:
             axis = self.machine.drives[name].axis
@@ -165,7 +165,7 @@ class Stand:
             self.master[name].write("target_velocity", value)
 
     def settle(self, speed: float) -> None:
-        """Wait until the ramp to a speed has ended, half as long again, and for a soft loop."""
+        """Wait one and a half times the ramp to a speed, and longer for a soft loop."""
         axis, wanted = self.drive.axis, self._heading * abs(speed * self.gear)
         ramp = 2 * abs(wanted) / max(float(axis.acceleration), 1e-9)
         count = CYCLES_OF_A_RAMP + math.ceil(1.5 * ramp / self.period)
@@ -176,16 +176,16 @@ class Stand:
                 break
 
     def run(self, offsets: np.ndarray, against: bool = False) -> np.ndarray:
-        """Excite with torque offsets (Nm), one a step; -> samples of shape ``(n, 6)``.
+        """Excite with torque offsets (Nm), one per step; -> samples of shape ``(n, 6)``.
 
-        Columns: torque offset (Nm), torque command (Nm), measured velocity (rad/s), position
-        (rad), whether the torque was limited, whether a drive turned round.
+        The columns are torque offset (Nm), torque command (Nm), measured velocity (rad/s), position
+        (rad), whether the torque was limited, and whether a drive reversed.
 
-        Of two drives that move one beam the columns are half the sum. Are they excited `against`
-        one another, the second with the offsets turned, they are half the difference.
+        For two drives that move one beam the columns are half the sum. With `against` the second
+        drive gets the negative offsets, and the columns are half the difference.
 
         Raises:
-            RuntimeError: a drive has left OPERATION_ENABLED, with its fault.
+            RuntimeError: a drive has left OPERATION_ENABLED; the message names its fault.
         """
         limited = int(Limit.TORQUE)
         per_mille = float(self.drive.axis.rated_torque) * 1e-3
@@ -205,7 +205,7 @@ class Stand:
         return samples
 
     def rates(self) -> tuple[float, int]:
-        """Velocity cycle (s), and how many make a position cycle."""
+        """Return the velocity cycle (s), and the number of them in a position cycle."""
         return float(self.drive.axis.velocity_period), int(self.drive.axis.velocity_cycles)
 
 

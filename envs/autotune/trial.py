@@ -1,4 +1,4 @@
-"""What gains are worth in motion: a step of the velocity, the user's move; and friction."""
+"""Trials of gains in motion: a step of the velocity and a move; and the friction."""
 
 import math
 from dataclasses import dataclass
@@ -10,36 +10,36 @@ from ...drive.master import Master, ServoError
 from ..masters.port import MachinePort
 from .stand import TORQUE, VELOCITY, Stand
 
-STEP_TORQUE = 0.4  # of the rated torque, that a step of the velocity asks for at once, at most
+STEP_TORQUE = 0.4  # share of the rated torque that a step of the velocity may need
 STEP_TIME = 0.12  # s
-SHARE_OF_ROOM = 0.4  # of the free way, for a move that is not given
-LONGEST_TURN = 2 * math.pi  # rad, of an axis without ends
-RIDE = 0.3  # s, at each speed
-SPEEDS = (0.1, 0.2, 0.4)  # of 6081h, for friction
+SHARE_OF_ROOM = 0.4  # share of the free travel, the default distance of a move
+LONGEST_TURN = 2 * math.pi  # rad, for an axis without ends
+RIDE = 0.3  # s of travel at each speed
+SPEEDS = (0.1, 0.2, 0.4)  # shares of 6081h at which friction is measured
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A step and a move. Times in s, positions and velocities at the joint (m, m/s or rad)."""
+    """Results of a step and a move; positions and velocities are those of the joint."""
 
-    step_time: np.ndarray
+    step_time: np.ndarray  # s
     step_velocity: np.ndarray  # share of the step
-    time: np.ndarray
-    demand: np.ndarray
-    error: np.ndarray  # demand minus position
+    time: np.ndarray  # s
+    demand: np.ndarray  # m or rad
+    error: np.ndarray  # demand minus position (m or rad)
     torque: np.ndarray  # Nm
-    following_error: float  # greatest of the move; inf: it was not made
-    settling: float  # s from the beginning of the move until it stays in the position window
+    following_error: float  # largest of the move (m or rad); inf: it was not made
+    settling: float  # s, from the start of the move until the position stays in its window
     note: str = ""
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Least squares of the mean torque at the shaft over direction and speed."""
+    """Friction at the shaft, a least-squares fit of mean torques over direction and speed."""
 
     coulomb: float  # Nm
     viscous: float  # Nm·s/rad
-    load: float  # Nm, in one direction: gravity
+    load: float  # Nm, in one direction, such as gravity
 
     def __str__(self) -> str:
         return (
@@ -49,7 +49,7 @@ class Friction:
 
 
 def friction(stand: Stand) -> Friction:
-    """Ride to and fro at three speeds; the drive is enabled and calm."""
+    """Measure friction by travel back and forth at three speeds; the drive is enabled."""
     count = math.ceil(RIDE / stand.period)
     mean = np.hanning(count + 2)[1:-1]
     mean /= mean.sum()
@@ -70,11 +70,11 @@ def friction(stand: Stand) -> Friction:
 
 
 def trial(stand: Stand, distance: float | None) -> Trial:
-    """Make a step and a move with the gains in force; the machine is put back before each.
+    """Make a step and a move with the present gains; the machine is restored before each.
 
     Args:
-        stand: of the drive.
-        distance: of the move (m or rad); a share of the free way if not given.
+        stand: the stand of the drive.
+        distance: distance of the move (m or rad); by default a share of the free travel.
     """
     step, note = _step(stand)
     stand.put_back()
@@ -115,7 +115,7 @@ def _distance(stand: Stand) -> float:
 
 
 def _step(stand: Stand) -> tuple[tuple[np.ndarray, np.ndarray], str]:
-    """A step of the velocity demand in motion: mode pv with the steepest ramp there is."""
+    """Make a step of the velocity demand in motion, in mode pv with the steepest ramp."""
     drive, gear = stand.drive, stand.gear
     try:
         stand.start()

@@ -1,8 +1,8 @@
-"""`tune`: commission a drive's loops by measuring what it moves.
+"""`tune`: tunes the loops of a drive by measuring its plant.
 
-Measure the plant through the drive (`bode`), ride it for friction and inertia (`trial`), fit gains
-to the margins asked for (`fit`), measure again with them, and show what they are worth: a step, the
-loops, the following error on a move.
+It measures the plant through the drive (`bode`) and its friction (`trial`), fits gains to the
+required margins (`fit`), measures again with them, and compares before and after: the loops, a
+step, and the following error of a move.
 """
 
 import math
@@ -20,28 +20,28 @@ from .response import Response
 from .stand import Stand
 from .trial import Friction, Trial, friction, trial
 
-TRIES = 3  # with less gain each, where what was measured afterwards is less than asked for
+TRIES = 3  # fits at most; each has less gain if the margins were measured too small
 EASE = 0.8
-# of the following error that it had, for gains that keep the margins stay for no less; and of the
-# stiffness that the last measurement allows, for it is not fitted again for no more
+# share of the former following error that new gains must not exceed to replace gains that keep the
+# margins, and share of the stiffness that the last measurement allows that ends the search
 WORTH = 0.9
-LATER = 1.1  # times the settling time that it had: gains that keep the margins stay beyond it
+LATER = 1.1  # ratio to the former settling time that new gains must not exceed
 FEED_FORWARD = "acceleration_feed_forward"
-# of the inertia that the drive had: it is measured while the motor pushes, and what a gear then
-# loses it gives back while the load pushes
+# deviation from the former inertia that is ignored: it is measured while the motor pushes, and the
+# losses of a gear have the opposite sign while the load pushes
 NEAR = 0.1
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What `tune` has found; the drive has the gains."""
+    """The result of `tune`; the drive has the gains."""
 
     drive: str
     model: str
     unit: str  # of the joint
     asked: Requirements
-    reached: bool  # the margins asked for, in the loops measured afterwards
-    reason: str  # why not, in words
+    reached: bool  # whether the loops measured afterwards have the required margins
+    reason: str  # why not
     objects: dict[str, int]  # in units of the drive
     table: tuple[tuple[str, str, int, str], ...]  # address, name, value, unit
     friction: Friction
@@ -49,7 +49,7 @@ class Tuned:
     after: Response
     trial_before: Trial
     trial_after: Trial
-    together: tuple[str, ...] = ()  # drives that move one beam: all have these gains
+    together: tuple[str, ...] = ()  # drives on one beam, which all have these gains
     parameters: bytes = field(repr=False, default=b"")
 
     def __str__(self) -> str:
@@ -92,9 +92,9 @@ class Tuned:
         return f"{of.settling:.3f} s" if math.isfinite(of.settling) else "not moved"
 
     def save(self, path: str | Path) -> None:
-        """Write the parameter set, or a picture: the suffix .png chooses that.
+        """Write the parameter set, or a picture with the suffix .png.
 
-        The set is what 1010h would store: `servogym node --parameter-file` and
+        The set has the contents that 1010h would store: `servogym node --parameter-file` and
         ``linear_axis(parameter_file=...)`` read it.
         """
         path = Path(path)
@@ -117,25 +117,26 @@ def tune(
     amplitude: float = 0.1,
     seed: int = 0,
 ) -> Tuned:
-    """Tune the loops of one drive of a machine; afterwards it has the gains, all else as before.
+    """Tune the loops of one drive of a machine, which has the gains afterwards and is restored.
 
     >>> tuned = tune(linear_axis("generic"))                        # doctest: +SKIP
     >>> print(tuned); tuned.save("axis.json"); tuned.save("tune.png")    # doctest: +SKIP
 
     Args:
-        machine: stands where the axis can travel.
-        drive: name of it in the machine; the first if not given.
-        gain_margin: of both loops, at least (dB), 2..40.
-        phase_margin: of both loops, at least (degree), 10..80.
-        move: distance to show the following error on (m or rad), with the drive's own profile; 0.4
-            of the free way if not given.
-        amplitude: rms of the excitation, share of the rated torque.
-        seed: of the random phases.
+        machine: a machine whose axis has room to travel.
+        drive: name of the drive; by default the first one.
+        gain_margin: smallest gain margin of both loops (dB), 2..40.
+        phase_margin: smallest phase margin of both loops (degree), 10..80.
+        move: distance of the move that shows the following error (m or rad), with the profile of
+            the drive; by default 0.4 of the free travel.
+        amplitude: rms of the excitation as a share of the rated torque.
+        seed: seed of the random phases.
 
     Raises:
-        ValueError: no such drive, one that has nothing to tune, no room, an argument out of range.
-        RuntimeError: a drive has left the run with a fault, or oscillates with any gain.
-        ImportError: without the package scipy.
+        ValueError: an unknown drive, one without loops to tune, too little room, or an argument out
+            of range.
+        RuntimeError: a drive has stopped with a fault, or oscillates with any gain.
+        ImportError: the package scipy is missing.
     """
     scipy("optimize")
     possible(amplitude, seed)
@@ -178,7 +179,7 @@ def tune(
             if asked.kept(after) and not after.note:
                 best = after, objects, stand.machine.snapshot()
             elif after.velocity_margins.stable and after.position_margins.stable:
-                # an unstable loop proves that the plant is another: it is fitted anew, not eased
+                # an unstable loop shows that the plant was wrong: it is fitted again, not eased
                 ease *= EASE
         reached = best is not None
         if best is not None:
@@ -210,24 +211,24 @@ def tune(
 def _no_better(
     unit: str, asked: Requirements, before: Response, had: Trial, after: Response, found: Trial
 ) -> str:
-    """Why the gains that the drive had are kept; empty where they are not."""
+    """Explain why the former gains of the drive are kept; empty if they are not."""
     keeps, moves = asked.kept(before), math.isfinite(had.following_error)
     if math.isinf(found.following_error) and (keeps or moves):
         return (
-            f"the move is not made with them ({found.note}), so the drive keeps what it "
-            "had; what was measured is not a guide, as with much backlash or little excitation"
+            f"the move is not made with them ({found.note}), so the drive keeps its former gains; "
+            "the measurement is unreliable, as with much backlash or little excitation"
         )
     if not keeps:
         return ""
     if found.settling > LATER * had.settling:
         return (
-            f"what the drive had keeps the margins, and with what was found the move settles after "
-            f"{found.settling:.3f} s, not {had.settling:.3f} s, so it keeps it"
+            f"the former gains keep the margins, and with the new ones the move settles after "
+            f"{found.settling:.3f} s, not {had.settling:.3f} s, so the former gains are kept"
         )
     if found.following_error >= WORTH * had.following_error:
         return (
-            "what the drive had keeps the margins, and what was found follows no better "
-            f"({_micro(found, unit)}, it had {_micro(had, unit)}), so it keeps it"
+            "the former gains keep the margins, and the new ones follow no better "
+            f"({_micro(found, unit)}, before {_micro(had, unit)}), so the former gains are kept"
         )
     return ""
 
@@ -241,7 +242,7 @@ def _micro(trial: Trial, unit: str) -> str:
 def _look(
     stand: Stand, amplitude: float, seed: int, ride: bool, earlier: Response | None = None
 ) -> tuple[Response, Any]:
-    """The response with the gains in force, and friction."""
+    """Measure the response with the present gains, and with `ride` the friction."""
     gains = gains_of(stand.drive)
     stand.start()
     note = calm(stand)

@@ -1,1 +1,1 @@
-"""Who commands a machine."""
+"""Masters: what commands a machine."""

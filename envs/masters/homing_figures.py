@@ -1,8 +1,8 @@
-"""What a homing run was worth: error, torque, impact; of an agent, or of a method of the drive.
+"""Figures of a homing run by an agent or by a method of the drive: error, torque, impact.
 
-A drive finds its home within what it can see. Here the truth is known: where the edge, the index
-pulse or the stop lies that a method looks for, and where the axis is. Both are looked at with the
-same function, so that an agent and the built-in methods are compared by the same figures.
+A drive only finds its home as its sensors allow. The simulation knows the true position of the
+axis, and of the edge, the index pulse or the stop that a method looks for. One function measures
+agents and built-in methods, so their figures can be compared.
 """
 
 import math
@@ -23,12 +23,12 @@ from ..engine.machine import Machine
 from ..engine.tick import axes_at, coordinates, couplings_at, mechanics_at, world_at
 from .port import MachinePort
 
-# what is measured; the fields with an underscore are set by `prepare`, or are of the last look
+# measured figures; fields with an underscore are set by `prepare`, or belong to the last sample
 FIELDS = (
     ("attained", "?"),  # the drive has a reference
     ("error", "f8"),  # home found minus true home (m); 0 before
     ("greatest_torque", "f8"),  # share of the maximum torque
-    ("impact_energy", "f8"),  # brought into the end stops since the reset, sum (J)
+    ("impact_energy", "f8"),  # sum of the impacts on the end stops since the reset (J)
     ("_home", "f8"),  # true home (m)
     ("_full_torque", "f8"),  # maximum torque (Nm)
     ("_position", "f8"),  # m
@@ -45,12 +45,12 @@ class HomingFigures(NamedTuple):
     time: float  # s
     greatest_torque: float  # share of the maximum torque
     impact_energy: float  # J
-    index_near: bool  # the drive warns: home may jump by a turn
+    index_near: bool  # the drive warns that home may jump by a turn
 
 
 @block
 def measure(world, figures):
-    """Look at the first axis of a machine."""
+    """Update the figures of the first axis of a machine."""
     axis = axes_at(world.axes, world.drives)[0]
     coupling = couplings_at(world.couplings, world.drives)[0]
     position = coordinates(world)[coupling.qpos]
@@ -66,13 +66,13 @@ def measure(world, figures):
 
 @entry
 def look(worlds, figures):
-    """`measure` from Python."""
+    """Call `measure` from Python for several machines."""
     for w in range(len(worlds)):
         measure(world_at(worlds[w], 1)[0], figures[w])
 
 
 def prepare(machine: Machine, figures: np.record, home: float) -> None:
-    """Set what `measure` has to know; `home` is the true one (m). The drive has been stepped."""
+    """Set the data that `measure` needs; `home` is the true home (m). Step the drive before."""
     coupling, axis = machine.couplings[0], machine.axes[0]
     figures._home = home
     figures._full_torque = axis.rated_torque * int(axis.od.max_torque) * 1e-3
@@ -80,15 +80,15 @@ def prepare(machine: Machine, figures: np.record, home: float) -> None:
 
 
 def true_home(machine: Machine, method: int, start: float = 0.0) -> float:
-    """Where an ideal run of a homing method finds its home on the first axis (m).
+    """Return the position at which an ideal run of a homing method finds its home (m).
 
     Args:
-        machine: with its switches where they are now.
-        method: one of its drive that searches, see `DriveModel.search`.
-        start: where the run begins (m); it counts for methods 33 and 34 alone.
+        machine: the machine, whose first axis is homed with the present switches.
+        method: a searching method of its drive, see `DriveModel.search`.
+        start: start of the run (m), which matters for methods 33 and 34 only.
 
     Raises:
-        ValueError: methods 35 and 37 look for nothing.
+        ValueError: the method does not search, as 35 and 37.
     """
     (drive, *_) = machine.drives.values()
     found = drive.model.search(method)
@@ -106,7 +106,7 @@ def true_home(machine: Machine, method: int, start: float = 0.0) -> float:
 
 
 def _place(machine: Machine, leg: tuple[int, ...]) -> float:
-    """Where the event of a leg comes, on the leg's own way (m)."""
+    """Position of the event of a leg, in the direction of the leg (m)."""
     direction, _, event, *_ = leg
     coupling = machine.couplings[0]
     if event == Event.STOP:
@@ -122,16 +122,17 @@ def built_in(
     machine: Machine, method: int, start: float, *, stride: int = 10, timeout: float = 60.0,
     objects: Mapping[str, int] | None = None, observer: Callable[[float], None] | None = None,
 ) -> HomingFigures:
-    """Run a homing method of the drive of a machine with one axis; the machine is left as it was.
+    """Run a homing method of the drive of a machine with one axis, then restore the machine.
 
     Args:
-        machine: with the switches, friction and payload of the run.
-        method: homing method 6098h that the drive has.
+        machine: the machine, with the switches, friction and payload of the run.
+        method: homing method 6098h of the drive.
         start: joint position at power-on (m).
-        stride: position cycles between two looks.
-        timeout: after which the run has failed (s).
-        objects: written before, such as ``speed_during_search_for_switch``, in drive units.
-        observer: called at the start and at each look with the time since the start (s).
+        stride: position cycles between two samples.
+        timeout: time after which the run has failed (s).
+        objects: objects written before the run, such as ``speed_during_search_for_switch``, in
+            drive units.
+        observer: called at the start and at each sample with the time since the start (s).
 
     Raises:
         ValueError: the drive does not have the method, or it looks for nothing.

@@ -1,4 +1,4 @@
-"""The drives of a machine in this process, as a master reaches them."""
+"""The port through which a master commands the drives of a machine in this process."""
 
 from collections.abc import Callable, Mapping
 
@@ -9,14 +9,14 @@ from ..engine.touch import hindrances
 
 
 class MachinePort:
-    """All drives of a machine; an exchange is its next position cycles.
+    """Port to all drives of a machine; an exchange runs its next position cycles.
 
-    Positions are m or rad of the joint, counted from the drive's reference.
+    Positions are m or rad of the joint, counted from the reference of the drive.
 
     Args:
-        machine: is stepped while a master waits.
+        machine: the machine, which is stepped while a master waits.
         on_step: called after every exchange, for traces and displays.
-        cycles: position cycles an exchange.
+        cycles: position cycles per exchange.
     """
 
     latency = 0.0
@@ -26,8 +26,8 @@ class MachinePort:
     ) -> None:
         if not isinstance(machine, Machine):
             raise ValueError(
-                f"machine = {machine!r}: give a Machine, as linear_axis() makes one; of an "
-                "environment it is env.machine"
+                f"machine = {machine!r}: give a Machine, such as linear_axis(), or env.machine of "
+                "an environment"
             )
         self.machine = machine
         self.on_step = on_step
@@ -44,7 +44,7 @@ class MachinePort:
         return self.machine.time
 
     def upload(self, axis: str, name: str) -> int | float:
-        """An object (drive units). Raises SdoAbort if refused."""
+        """Read an object (drive units). Raises SdoAbort if refused."""
         return self._drives[axis].read(name)
 
     read = upload
@@ -54,13 +54,13 @@ class MachinePort:
         self._drives[axis].write(name, value)
 
     def exchange(self) -> None:
-        """Let the position cycles pass."""
+        """Run the position cycles of an exchange."""
         self.machine.step(self.cycles)
         if self.on_step is not None:
             self.on_step()
 
     def obstacles(self, axis: str) -> list[str]:
-        """What stops a drive's joint: contacts, the strongest first, or forces."""
+        """Return what stops the joint of a drive: contacts, the strongest first, or forces."""
         machine = self.machine
         coupling = machine.coupling(axis)
         with machine.turn:
@@ -69,7 +69,7 @@ class MachinePort:
             )
 
     def units(self, axis: str) -> Units:
-        """What the factors and the mechanics make of a drive unit."""
+        """Return the size of a drive unit at the joint, by the factors and the gear."""
         record, gear, name = self._drives[axis].axis, *self.machine.joint(axis)
         return Units(
             float(record.rad_per_position_unit) / gear,

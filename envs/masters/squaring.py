@@ -1,4 +1,4 @@
-"""Squaring of a bridge with two drives in X."""
+"""Squares the bridge of a gantry with two drives in X."""
 
 from collections.abc import Callable
 
@@ -12,21 +12,22 @@ def square(
     gantry: Gantry, *, max_twist: float = 0.01, timeout: float = 60.0,
     on_step: Callable[[], None] | None = None,
 ) -> float:
-    """Home ``x1`` and ``x2`` together and bring both to position 0; -> skew left (m).
+    """Home ``x1`` and ``x2`` together and bring both to position 0; -> the remaining skew (m).
 
-    Both drives start in the same SYNC at the same speed, so the bridge travels as skew as it is
-    until each side has found its own switch; the home offsets 607Ch hold how far the switches are
-    from square. The skew is watched as by a sensor on the bridge.
+    Both drives start in the same SYNC at the same speed, so the skew of the bridge stays constant
+    until each side has found its own switch. The home offsets 607Ch compensate switches that are
+    out of square. A sensor on the bridge is assumed to measure the skew.
 
     Args:
-        gantry: with two drives in X.
-        max_twist: change of the skew (m) at which both drives stop: a switch has been missed.
-        timeout: for the homing (s).
+        gantry: a gantry with two drives in X.
+        max_twist: change of the skew (m) at which both drives stop, because a switch was missed.
+        timeout: longest duration of the homing (s).
         on_step: called after every cycle.
 
     Raises:
-        ValueError: no drives x1 and x2, or `max_twist` is not above 0 m.
-        ServoError: Refused without a mode, Interlock if twisted too far, or as `Master.home`.
+        ValueError: the gantry has no drives x1 and x2, or `max_twist` is not above 0 m.
+        ServoError: Refused if a mode is missing, Interlock if the bridge twists too far, or as
+            `Master.home`.
     """
     if not max_twist > 0.0:
         raise ValueError(f"max_twist = {max_twist!r} is out of range: give more than 0 m")

@@ -1,12 +1,12 @@
-"""Gains of the cascade for a plant that is known: the fastest loops that keep their margins.
+"""Gains of the cascade for a known plant: the stiffest loops that keep their margins.
 
 The velocity loop is a PI controller with an action time of `SHAPES` over its crossover (symmetrical
-optimum: 3). The position loop is to keep a phase margin of 60 degrees at least, so that a move does
-not overshoot. Of all that keep the margins the stiffest is taken, kp (kv + 1 / Ti): the torque
-against a disturbance that lasts as long as the loops are fast.
+optimum: 3). The position loop keeps a phase margin of at least 60 degrees, so that a move does not
+overshoot. Of all gains that keep the margins, those with the greatest stiffness kp (kv + 1 / Ti)
+are chosen: the torque against a disturbance that is slow compared with the loops.
 
-Commissioning knows the plant from the model (`shaft`), `tune` from what it has measured; both ask
-here, so an axis that was commissioned is tuned.
+Commissioning takes the plant from the model (`shaft`), `tune` from a measurement. Both use this
+module, so a commissioned axis is already tuned.
 """
 
 import math
@@ -23,13 +23,13 @@ from ...drive.kernel.cascade import PID_FILTER, Structure
 SHAPES = (3.0, 4.0, 5.0, 7.0, 10.0)  # action time times crossover
 SEPARATIONS = 2.0 * 1.1 ** np.arange(32)  # crossover over position gain, 2..38
 WITHOUT_OVERSHOOT = 60.0  # degree
-STEP = 1.06  # between crossovers that are tried
-LOWEST = 0.2  # Hz: nothing is measured below, so no loop is fitted that crosses over there
-HIGHEST = 0.35  # of the position-controller rate, same
-EASED = np.array([1.0, 0.75, 0.5])  # of the highest velocity gain, that leave more for the position
-EASES = 0.8 ** np.arange(12)  # of the velocity gain, until a PID controller has the margins
-RESERVE_GAIN, RESERVE_PHASE = 1.0, 3.0  # dB and degree over what is asked for
-BEGIN = math.radians(225)  # phase behind the origin that a loop of two integrators may begin at
+STEP = 1.06  # ratio of the crossovers that are tried
+LOWEST = 0.2  # Hz, lowest crossover; nothing is measured below
+HIGHEST = 0.35  # of the position-controller rate, highest crossover
+EASED = np.array([1.0, 0.75, 0.5])  # shares of the highest velocity gain that are tried
+EASES = 0.8 ** np.arange(12)  # shares of the velocity gain that are tried for a PID controller
+RESERVE_GAIN, RESERVE_PHASE = 1.0, 3.0  # dB and degree beyond the required margins
+BEGIN = math.radians(225)  # phase lag at which a loop with two integrators may begin
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Gains:
     velocity_gain: float  # Nm·s/rad
     integral_time: float  # s; 0: no integral action
     position_gain: float  # 1/s
-    # of a PID position controller that gives the torque itself (Nm/rad, Nm/(rad·s), Nm·s/rad)
+    # of a PID position controller with torque as its output (Nm/rad, Nm/(rad·s), Nm·s/rad)
     pid: tuple[float, float, float] | None = None
 
     def __str__(self) -> str:
@@ -59,19 +59,19 @@ class Gains:
 
     @property
     def as_pid(self) -> tuple[float, float, float]:
-        """The PID controller that does the same as the cascade, with its velocity fed forward."""
+        """The PID controller that is equivalent to the cascade with velocity feed-forward."""
         rate = 1 / self.integral_time if self.integral_time > 0.0 else 0.0
         kp, kv = self.velocity_gain, self.position_gain
         return kp * (kv + rate), kp * kv * rate, kp
 
     @property
     def stiffness(self) -> float:
-        """Torque against a disturbance that lasts as long as the loops are fast (Nm/rad)."""
+        """Torque per deviation against a disturbance slower than the loops (Nm/rad)."""
         integral = 1 / self.integral_time if self.integral_time > 0.0 else 0.0
         return self.velocity_gain * (self.position_gain + integral)
 
 
-OBJECTS = {  # of the gains, and how many of its units make one of SI
+OBJECTS = {  # object: the gain that it holds, and its number of units per SI unit
     "velocity_control_gain": ("velocity_gain", lambda axis: 1 / axis.velocity_gain_unit),
     "velocity_control_time": ("integral_time", lambda axis: 1e6),
     "position_control_gain": ("position_gain", lambda axis: 1 / axis.position_gain_unit),
@@ -82,7 +82,7 @@ PID_OBJECTS = {"pid_gain": 1e6, "pid_integral_gain": 1e3, "pid_derivative_gain":
 
 
 def gains_of(drive: Drive) -> Gains:
-    """The gains in force."""
+    """The present gains of a drive."""
     axis = drive.axis
     raw = {name: float(getattr(axis.od, name)) for name in OBJECTS}
     values: dict[str, Any] = {to: raw[name] / per(axis) for name, (to, per) in OBJECTS.items()}
@@ -92,7 +92,7 @@ def gains_of(drive: Drive) -> Gains:
 
 
 def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
-    """Gains in units of the drive by object, as near as it can have them."""
+    """Convert gains to units of the drive by object, within the ranges of the objects."""
     values = {}
     for name, (of, per) in OBJECTS.items():
         value = round(getattr(gains, of) * per(drive.axis))
@@ -107,7 +107,7 @@ def in_units(drive: Drive, gains: Gains) -> dict[str, int]:
 
 
 def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each field of `Gains` (SI) that the drive's objects take."""
+    """Lowest and highest value of each field of `Gains` (SI) that the drive accepts."""
     found = {}
     for name, (of, per) in OBJECTS.items():
         row, unit = drive.model.names.get(name), 1 / per(drive.axis)
@@ -117,10 +117,10 @@ def ranges(drive: Drive) -> dict[str, tuple[float, float]]:
 
 
 def measurable(allowed: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Ranges of `ranges` without the gains that no measurement could confirm.
+    """Restrict `ranges` to gains that a measurement can confirm.
 
-    A position loop crosses over where its gain is, so the gain is not below `LOWEST`; the action
-    time is no longer than that, or an axis rests in its window before friction has been overcome.
+    A position loop crosses over at its gain, which is therefore not below `LOWEST`. The action time
+    is not longer than its inverse, so that the integral action overcomes friction in time.
     """
     rate = 2 * math.pi * LOWEST
     (shortest, longest), (low, high) = allowed["integral_time"], allowed["position_gain"]
@@ -137,10 +137,10 @@ class Filters:
     cycle: float  # s, velocity controller
     low_pass: float = 0.0  # s; 0: none
     notches: tuple[tuple[float, float, float], ...] = ()  # frequency (Hz), damping, depth
-    observed: bool = False  # the speed is an observer's, and the D part of a PID takes it
+    observed: bool = False  # an observer estimates the speed, also for the D part of a PID
 
     def __call__(self, frequencies: np.ndarray) -> np.ndarray:
-        """The response, shape ``(n,)``."""
+        """Return the response at these frequencies (Hz), shape ``(n,)``."""
         z = np.exp(2j * np.pi * frequencies * self.cycle)
         response = np.ones(len(z), complex)
         if self.low_pass > 0.0:
@@ -154,7 +154,7 @@ class Filters:
 
 
 def filters_of(drive: Drive) -> Filters:
-    """The filters of a drive's torque command."""
+    """The filters of the torque command of a drive."""
     od, cycle = drive.axis.od, float(drive.model.cycle_time["velocity"])
     rows = zip(od.notch_frequency, od.notch_damping, od.notch_depth, strict=True)
     notches = ((0.1 * float(f), 1e-3 * float(d), 1e-3 * float(g)) for f, d, g in rows)
@@ -170,7 +170,7 @@ ANY = dict.fromkeys(("velocity_gain", "integral_time", "position_gain"), (0.0, m
 
 @dataclass(frozen=True)
 class RequiredMargins:
-    """The least margins of both loops."""
+    """The smallest permitted margins of both loops."""
 
     gain: float = 6.0  # dB
     phase: float = 35.0  # degree
@@ -181,14 +181,14 @@ Margin = tuple[float, float, bool]  # gain (dB), phase (degree), stable
 
 @dataclass(frozen=True)
 class LoopPlant:
-    """A plant as measured at the shaft of its drive. Arrays have shape ``(n,)``."""
+    """A plant as measured at the shaft of its drive; arrays have shape ``(n,)``."""
 
     frequencies: np.ndarray  # Hz, from far below the crossovers to the Nyquist frequency
     velocity: np.ndarray  # complex, measured velocity over torque command (rad/s/Nm)
     position: np.ndarray  # complex, measured position over torque command (rad/Nm)
     cycle: float  # s, velocity controller
-    cycles: int  # of it in one of the position controller
-    inertia: float  # kg·m², all of it
+    cycles: int  # velocity cycles in a position cycle
+    inertia: float  # kg·m², total
     resonances: tuple[tuple[float, float], ...] = ()  # antiresonance and resonance (Hz)
     filters: Filters | None = None
 
@@ -232,12 +232,12 @@ class LoopPlant:
             loops = self.pid_loop(gains.pid)[None, self.below]
         position = margins_of(self.frequencies[self.below], loops)
         (a, b, c), (d, e, f) = ([x[0] for x in each] for each in (velocity, position))
-        inner = bool(c) or gains.pid is not None  # a PID controller has no loop inside
+        inner = bool(c) or gains.pid is not None  # a PID controller has no inner loop
         return (float(a), float(b), bool(c)), (float(d), float(e), bool(f and inner))
 
     @property
     def below(self) -> np.ndarray:
-        """Which frequencies the position loop has."""
+        """Whether a frequency is below the Nyquist frequency of the position loop."""
         return self.frequencies < 0.49 / (self.cycle * self.cycles)
 
     def crossover(self, gains: Gains) -> float:
@@ -251,9 +251,9 @@ def margins_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain margins (dB), phase margins (degree) and stability of open loops, shape ``(m, n)``.
 
-    Between two frequencies gain and phase are lines over the logarithm; the grid has to be fine
-    where a loop is not smooth. Stable is what does not go round -1 (Nyquist), for loops that are
-    stable but for their integrators.
+    Gain (dB) and phase are interpolated linearly, so the grid has to be fine where a loop is not
+    smooth. A loop is stable if it does not encircle -1 (Nyquist); it must have no unstable poles
+    other than integrators.
     """
     decibel = 20 * np.log10(np.maximum(np.abs(loops), 1e-15))
     step = np.angle(loops[:, 1:] / loops[:, :-1])
@@ -282,13 +282,14 @@ def fastest(
     plants: Sequence[LoopPlant], asked: RequiredMargins, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
-    """The stiffest gains that keep the margins with a reserve; None: there are none.
+    """Return the stiffest gains that keep the margins with a reserve; None without any.
 
     Args:
-        plants: one, or the same in several situations: the loops of all keep the margins.
-        asked: margins.
-        allowed: what the drive takes, of `ranges`.
-        ease: share of the velocity gain that was found to use, 1 for all of it.
+        plants: a plant, or the same in several situations: the loops with all of them keep the
+            margins.
+        asked: required margins.
+        allowed: gains that the drive accepts, as `ranges` returns them.
+        ease: share of the highest velocity gain that is used.
     """
     first = plants[0]
     top = 2 * math.pi * HIGHEST / (first.cycle * first.cycles)
@@ -315,7 +316,7 @@ def fastest_pid(
     plants: Sequence[LoopPlant], asked: RequiredMargins, allowed: Mapping[str, tuple[float, float]],
     ease: float = 1.0,
 ) -> Gains | None:
-    """Return the fastest PID position controller that keeps the margins."""
+    """Return the fastest PID position controller that keeps the margins; None without any."""
     for share in ease * EASES:
         found = fastest(plants, asked, allowed, share)
         if found is None:
@@ -331,13 +332,13 @@ def fastest_pid(
 
 
 def _within(allowed, inertia, crossover, shape) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity gains and action times for crossovers of a rigid plant, as the drive takes them."""
+    """Velocity gains and action times for crossovers of a rigid plant, in the allowed ranges."""
     kp = np.minimum(inertia * crossover, allowed["velocity_gain"][1])
     return kp, np.clip(shape / crossover, *allowed["integral_time"])
 
 
 def _velocity_kept(plants, asked, kp, time) -> np.ndarray:
-    """Which velocity loops keep the margins with all plants."""
+    """Whether a velocity loop keeps the margins with all plants, shape ``(m,)``."""
     kept = np.ones(len(kp), bool)
     for plant in plants:
         loops = plant.velocity_loop(kp, time)
@@ -348,7 +349,7 @@ def _velocity_kept(plants, asked, kp, time) -> np.ndarray:
 
 
 def _position_kept(plants, asked, kp, time, kv) -> np.ndarray:
-    """Which position loops keep the margins with all plants, and do not overshoot."""
+    """Whether a position loop keeps the margins with all plants and does not overshoot."""
     kept = np.ones(len(kp), bool)
     for plant in plants:
         loops = plant.position_loop(kp, time, kv)[:, plant.below]

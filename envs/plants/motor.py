@@ -1,4 +1,4 @@
-"""The motor of an axis: its rated data, and the winding and heat that follow from them."""
+"""The motor of an axis: its rated data, and its winding and thermal model."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +13,9 @@ MOTOR = {
     "max_current": 3000,
     "max_torque": 3000,
 }
-WINDING_LOSS = 45.0  # W, copper loss of it at rated torque (inferred)
-ELECTRICAL_TIME = 4e-3  # s, inductance over resistance, usual of servo motors (inferred)
-# parameter of a plant: field of the drive, and how many of its units make one of SI
+WINDING_LOSS = 45.0  # W, its copper loss at rated torque (inferred)
+ELECTRICAL_TIME = 4e-3  # s, inductance over resistance, usual for servo motors (inferred)
+# parameter of a plant: field of the drive, and its number of units per SI unit
 ELECTRICAL = {
     "dc_link_voltage": ("supply_voltage", 1e3),
     "motor_torque_constant": ("motor_torque_constant", 1e6),
@@ -42,7 +42,7 @@ class MotorParameters:
     disables it.
     """
 
-    speed_torque_curve: bool = False  # what is not given below comes from the rated data (inferred)
+    speed_torque_curve: bool = False  # values not given below follow from rated data (inferred)
     dc_link_voltage: float | None = ranged(None, 1.0, 2000.0, "V")
     motor_torque_constant: float | None = ranged(None, 1e-6, 4000.0, "Nm/A")
     motor_voltage_constant: float | None = ranged(None, 1e-6, 4000.0, "V·s/rad")
@@ -72,7 +72,7 @@ def rated_winding(rated_torque: float, rated_current: float, loss: float) -> dic
 
 
 def motor_and_encoder(p: Any, drive: Drive) -> dict[str, float]:
-    """Winding and thermal model of the motor and source of the position, where they are given."""
+    """Fields of the drive for the winding, the thermal model and the position source, if given."""
     given = {name: getattr(p, name) for name in (*ELECTRICAL, *THERMAL)}
     if p.speed_torque_curve:
         od = drive.axis.od
@@ -93,5 +93,5 @@ def motor_and_encoder(p: Any, drive: Drive) -> dict[str, float]:
 
 
 def _link(voltage: float) -> dict[str, float]:
-    """Limits of a DC link of another voltage (mV), in the proportions of the one at 325 V."""
+    """Limits of a DC link (mV) at another voltage (V), in proportion to those at 325 V."""
     return {name: limit * voltage / 325.0 * 1e3 for name, limit in LINK.items()}

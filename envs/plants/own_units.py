@@ -1,8 +1,8 @@
-"""Commissioning in the drive's own units and ranges: the axis fits itself to the drive.
+"""Commissions a drive in its own units and within its own ranges.
 
 Values are given in units that suit the axis (1 µm, 1 µm/s, 1 µm/s²). A drive whose factor group
-takes those has them; one without it, or with ranges of its own, gets the same motion in its own
-units, as near as its objects allow.
+supports these units uses them. Any other drive gets the same motion in its own units, as close as
+its objects allow.
 """
 
 from collections.abc import Container, Mapping
@@ -17,11 +17,11 @@ from ...drive.model.model import load
 from ...drive.model.rows import Object, quantity
 
 SAME = 1e-9  # relative difference of units that are equal
-INCREMENTS = 4  # of the encoder, the smallest window of a position or, a velocity cycle, of a speed
+INCREMENTS = 4  # of the encoder, the smallest position window
 WINDOWS = (
     "following_error_window", "position_window", "velocity_window", "velocity_threshold",
 )
-# a limit of the drive -> what it holds down
+# a limit of the drive -> the values that it limits
 LIMITS = {
     "max_acceleration": ("profile_acceleration", "homing_acceleration"),
     "max_deceleration": ("profile_deceleration", "quick_stop_deceleration"),
@@ -29,9 +29,9 @@ LIMITS = {
 
 
 def motor_and_factors(drive: Drive, values: Mapping[str, float]) -> None:
-    """Set motor data and the factor group, as far as the drive has them to be set.
+    """Set the motor data and the factor group, as far as they can be written.
 
-    A factor that only the maker sets stays, and with it the units it makes.
+    A factor that only the manufacturer can set stays unchanged, and so do its units.
     """
     names = drive.objects.names
     possible = {n: v for n, v in values.items() if n not in names or names[n].writable}
@@ -46,11 +46,11 @@ def commission(
     """Set objects by name.
 
     Args:
-        drive: its factor group, if it has one, is set.
-        values: in units of `per_unit`, and of that per s and s².
+        drive: a drive whose factor group is set.
+        values: values in units of `per_unit`, and per s and s².
         per_unit: one unit at the shaft (rad).
-        exact: names of values that are refused where the drive does not take them; others are
-            taken as near as it does.
+        exact: names of values that the drive refuses out of its range; other values are limited to
+            the range.
 
     Raises:
         ValueError: as `Drive.commission`.
@@ -61,7 +61,7 @@ def commission(
 def fitted(
     drive: Drive, values: Mapping[str, float], per_unit: float, exact: Container[str] = ()
 ) -> dict[str, float]:
-    """Return `values` converted into the units and ranges of the drive; as `commission`."""
+    """Convert values to the units and ranges of the drive; for arguments see `commission`."""
     units_changed(drive.axes, drive.index)
     axis = drive.axis
     own = {
@@ -87,7 +87,7 @@ def fitted(
             found[name] = value
             continue
         found[name] = _in_field(name, value) if row is None else _inside(drive, row, value)
-    for name, held in LIMITS.items():  # as the maker left it, it may be below what the axis needs
+    for name, held in LIMITS.items():  # the default may be lower than the axis needs
         row = drive.model.names.get(name)
         needed = max((found[one] for one in held if one in found), default=0.0)
         if row is not None and name not in found and needed > drive.read(name):  # type: ignore
@@ -96,7 +96,7 @@ def fitted(
 
 
 def _in_field(name: str, value: float) -> float:
-    """The nearest value that a field of the record holds, of which the drive has no object."""
+    """The nearest value that a field of the record can hold, for a field without an object."""
     kind: Any = OD[name].base if name in (OD.names or ()) else np.dtype(float)
     if kind.kind == "f":
         return value
@@ -104,7 +104,7 @@ def _in_field(name: str, value: float) -> float:
 
 
 def _quantity(name: str) -> str:
-    """What an object of the profile measures in units of the factor group; "" for any other."""
+    """Quantity of an object of the profile in units of the factor group; "" for any other."""
     row = load("generic").names.get(name)
     if row is None:
         return ""
@@ -112,7 +112,7 @@ def _quantity(name: str) -> str:
 
 
 def _inside(drive: Drive, row: Object, value: float) -> float:
-    """The nearest value that an object takes."""
+    """The nearest value that an object accepts."""
     if row.name == "homing_method" and drive.model.homing_methods:
         possible = value in drive.model.homing_methods
         possible = possible and row.minimum <= value <= row.maximum
@@ -125,7 +125,7 @@ def _inside(drive: Drive, row: Object, value: float) -> float:
 
 
 def _homing_method(drive: Drive, row: Object) -> float:
-    """A method the drive has: where it stands, else the first it allows."""
+    """A method of the drive: the one that homes at the present position, or the first one."""
     methods = drive.model.homing_methods
     here = [m for m in (37, 35) if m in methods] + [*methods]
     return next((m for m in here if row.minimum <= m <= row.maximum), float(row.default))

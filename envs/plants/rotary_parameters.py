@@ -12,16 +12,16 @@ MICROMETRE = 1e-6
 
 @dataclass(frozen=True)
 class RotaryParameters(MotorParameters):
-    """One axis without ends; all at the table or roller, unless it says motor.
+    """Parameters of one axis without ends, at the table or roller unless marked otherwise.
 
-    The `efficiency` of the gear is a friction in proportion to what it carries. The `circumference`
-    is what the belt moves per revolution of its roller; the `pitch`, after which the position of a
-    conveyor repeats.
+    The `efficiency` of the gear is a friction proportional to its load. The `circumference` is the
+    travel of the belt per revolution of its roller; after the `pitch` the position of a conveyor
+    repeats.
 
-    Raises ValueError naming field, value, range and unit.
+    Raises ValueError with field, value, range and unit.
     """
 
-    inertia: float = ranged(0.5, 1e-6, 1e4, "kg·m²")  # of all that turns or is carried
+    inertia: float = ranged(0.5, 1e-6, 1e4, "kg·m²")  # of the load, rotating or carried
     gear_ratio: float = ranged(50.0, 0.1, 1e4, "motor revolutions per revolution")
     circumference: float = ranged(0.0, 0.0, 10.0, "m per revolution, 0 for a table")
     pitch: float = ranged(0.0, 0.0, 10.0, "m, 0 for the circumference")  # of a conveyor
@@ -59,7 +59,7 @@ class RotaryParameters(MotorParameters):
 
     @property
     def period(self) -> float:
-        """After which positions and switches repeat (rad)."""
+        """Angle after which positions and switches repeat (rad)."""
         if self.pitch == 0.0:
             return 2 * math.pi
         return 2 * math.pi * self.pitch / self.circumference

@@ -1,11 +1,11 @@
-"""What a drive sees at its motor shaft, computed from the model alone: nothing moves.
+"""The plant that a drive sees at its motor shaft, computed from the model without any motion.
 
-One velocity cycle is a linear system: the physics step as MuJoCo linearises it, the speed as the
+One velocity cycle is a linear system: the physics step as linearised by MuJoCo, the speed as the
 filtered difference of the shaft angle, and the lag of the current loop. Dry friction keeps its sign
-in motion and is left out, backlash is on one flank, the other drives hold their joints. What a gear
-loses is in proportion to what it carries: while the motor pushes, its load is felt the heavier, and
-while the load pushes the lighter. What vibrates without damping has no finite response at its
-frequency: it gets `LEAST`.
+in motion and is omitted, backlash stays on one flank, and the other drives hold their joints. The
+loss of a gear is proportional to its load: the load appears heavier while the motor pushes, and
+lighter while the load pushes. An undamped vibration has no finite response at its frequency, so it
+gets the damping `LEAST`.
 """
 
 import math
@@ -21,10 +21,10 @@ from .loops import LoopPlant, filters_of
 GRID = 260  # frequencies
 AROUND = np.linspace(-6.0, 6.0, 25)  # more of them around a resonance, in units of its width
 LOWEST = 0.1  # Hz
-RIGID = 0.5  # Hz, where all moves as one
-APART = 1.005  # times the antiresonance; a resonance is above it
-LEAST = 1e-4  # damping of what vibrates; less than any machine has (inferred)
-HELD = 1e9  # kg or kg·m²
+RIGID = 0.5  # Hz, at which all masses move together
+APART = 1.005  # smallest ratio of a resonance to its antiresonance
+LEAST = 1e-4  # smallest damping of a vibration, lower than that of any machine (inferred)
+HELD = 1e9  # kg or kg·m², armature of a joint that is held
 WITHOUT = (
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_LIMIT,
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
@@ -34,13 +34,13 @@ WITHOUT = (
 def plant_at_shaft(
     machine: Machine, names: str | Mapping[str, float], *, pushes: float = 1.0
 ) -> LoopPlant:
-    """The plant of a drive, at the present place of the machine.
+    """Return the plant of a drive at the present position of the machine.
 
     Args:
-        machine: commissioned or not; nothing of it changes.
-        names: of the drive; of several that move one beam a sign each, ``{"x1": 1, "x2": -1}``:
-            torque and motion are then half the sum.
-        pushes: 1 while the motor does, -1 while the load does, 0 for a gear without losses.
+        machine: the machine, which does not change.
+        names: name of the drive; for several drives on one beam a sign each, ``{"x1": 1, "x2":
+            -1}``: torque and motion are then half the sum.
+        pushes: 1 while the motor pushes, -1 while the load pushes, 0 for a gear without losses.
     """
     signs = {names: 1.0} if isinstance(names, str) else dict(names)
     numbers = {name: machine.number(name) for name in signs}
@@ -63,7 +63,7 @@ def plant_at_shaft(
     filters = filters_of(drive)
     filtered = _share(period, float(drive.axis.od.velocity_filter_time) * 1e-6)
     lag = _share(period, drive.model.torque_time_constant)
-    # states: mechanics, torque, what the observer had, angle before, speed before; sampled, then
+    # states: mechanics, torque, observer, previous angle, previous speed; they are sampled before
     # the torque changes
     whole, into, out = np.zeros((size, size)), np.zeros(size), np.zeros((2, size))
     whole[: 2 * n, : 2 * n] = np.linalg.matrix_power(a, steps)
@@ -84,7 +84,7 @@ def plant_at_shaft(
     still, _ = _mechanics(machine, numbers.values(), still=True)
     vibrations = [_vibrations(each, machine.model.opt.timestep) for each in (still, a)]
     frequencies = _grid([*vibrations[0], *vibrations[1]], period)
-    # a frequency that decays is one of a plant with that much more damping, all else being the same
+    # a decaying frequency is equivalent to a plant with that much more damping
     lacking = LEAST - min((damping for each in vibrations for _, damping in each), default=LEAST)
     z = np.exp((2j + 2 * min(max(lacking, 0.0), LEAST)) * np.pi * frequencies * period)
     states = np.linalg.solve(
@@ -96,7 +96,7 @@ def plant_at_shaft(
     return LoopPlant(
         frequencies, velocity, position, period,
         round(drive.model.cycle_time["position"] / period), inertia,
-        # what a still motor does not change is not seen at its shaft
+        # a vibration that a held motor does not change is not visible at its shaft
         tuple((x, y) for (x, _), (y, _) in zip(*vibrations, strict=False) if y > APART * x),
         filters,
     )
@@ -107,7 +107,7 @@ def _share(period: float, time: float) -> float:
 
 
 def _observer(drive: Drive, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Correction of `kernel.observer`, and its prediction of the state and from the torque."""
+    """Gains of `kernel.observer`: its correction, and its prediction by state and torque."""
     od = drive.axis.od
     inertia = float(od.observer_inertia) * 1e-12 or float(od.acceleration_feed_forward) * 1e-9
     p = math.exp(-2 * math.pi * float(od.observer_bandwidth) * 0.1 * period)
@@ -117,9 +117,9 @@ def _observer(drive: Drive, period: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _lost(machine: Machine, number: int, torque: np.ndarray) -> np.ndarray:
-    """What the losses of a gear add to a state matrix, of `engine.mechanics`, while it is pushed.
+    """Losses of a gear as an addition to the state matrix, while the motor pushes.
 
-    `torque` is what 1 Nm at the shaft does to the state.
+    `torque` is the effect of 1 Nm at the shaft on the state; the law is in `engine.mechanics`.
     """
     m, model = machine.mechanics[number], machine.model
     lost = np.zeros((len(torque), len(torque)))
@@ -137,8 +137,7 @@ def _mechanics(
 ) -> tuple[np.ndarray, np.ndarray]:
     """State matrix and inputs (Nm at the shaft) of a physics step.
 
-    The other drives hold their joints, the movers too if all are to be `still`: an inertia that
-    nothing moves.
+    The other drives hold their joints, and if `still` the movers do as well.
     """
     model, data = machine.model, mujoco.MjData(machine.model)
     data.qpos[:] = machine.data.qpos
@@ -151,7 +150,7 @@ def _mechanics(
     try:
         for flag in WITHOUT:
             model.opt.disableflags |= int(flag)
-        # what hangs, stands on its head or pulls a driven joint back is slower than any loop
+        # pendulums and springs at driven joints are slower than any loop
         model.opt.gravity[:] = 0.0
         model.jnt_stiffness[[model.dof_jntid[c.dof] for c in machine.couplings]] = 0.0
         model.dof_armature[held] = HELD
@@ -165,7 +164,7 @@ def _mechanics(
 
 
 def _vibrations(a: np.ndarray, step: float) -> list[tuple[float, float]]:
-    """Frequency (Hz) and damping of what vibrates, the slowest first."""
+    """Frequency (Hz) and damping of the vibrations, the slowest first."""
     poles = np.linalg.eigvals(a)
     poles = np.log(poles[np.abs(poles) > 1e-9]) / step
     poles = poles[poles.imag > 2 * np.pi * LOWEST]
@@ -173,7 +172,7 @@ def _vibrations(a: np.ndarray, step: float) -> list[tuple[float, float]]:
 
 
 def _grid(vibrations: list[tuple[float, float]], period: float) -> np.ndarray:
-    """Frequencies (Hz) up to the Nyquist frequency, closer where the mechanics resonate."""
+    """Frequencies (Hz) up to the Nyquist frequency, denser around the vibrations."""
     places = [np.geomspace(LOWEST, 0.499 / period, GRID)]
     places += [f * (1 + max(damping, 1e-3) * AROUND) for f, damping in vibrations]
     frequencies = np.unique(np.concatenate(places))

@@ -1,4 +1,4 @@
-"""The sizing of an axis on one sheet: what its motor can do, and how its loops stand."""
+"""The sizing of an axis on one sheet: the abilities of its motor, and the margins of its loops."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Sizing:
     gear: float  # rad of the motor per m or rad
     motor: Motor
     load: Load
-    inertia_ratio: float  # what is moved over the motor's own inertia; infinite: it has none
+    inertia_ratio: float  # inertia of the load over that of the motor, infinite if that is 0
     velocity: float  # m/s or rad/s, of the profile
     acceleration: float  # m/s² or rad/s²
     highest_velocity: float  # that this motor allows
@@ -35,7 +35,7 @@ class Sizing:
 
     @property
     def peak_share(self) -> float:
-        """Share of the peak torque at that speed that accelerating by the profile takes."""
+        """Share of the peak torque at the profile velocity that the profile acceleration needs."""
         speed, rate = self.velocity * self.gear, self.acceleration * self.gear
         return self.load.peak(rate, speed) / self.motor.torque(speed)
 
@@ -46,7 +46,7 @@ class Sizing:
 
     @property
     def row(self) -> dict[str, str]:
-        """Figures in words, for a table."""
+        """Figures as texts, for a table."""
         vibrates = ", ".join(f"{a:.3g}/{r:.3g}" for a, r in self.resonances)
         ratio = f"{self.inertia_ratio:.3g}" if math.isfinite(self.inertia_ratio) else "-"
         return {
@@ -73,13 +73,13 @@ def _margin(of: Margin) -> str:
 
 
 def size(machine: Machine, name: str | None = None) -> Sizing:
-    """The sizing of one drive of a machine, at its present place.
-
-    Args:
-        machine: commissioned.
-        name: of the drive; the first if not given.
+    """Return the sizing of one drive at the present position of its machine.
 
     A machine that has not run yet makes one step.
+
+    Args:
+        machine: a commissioned machine.
+        name: name of the drive; by default the first one.
 
     Raises:
         ValueError: no such drive, or one without a position controller.
@@ -102,7 +102,7 @@ def size(machine: Machine, name: str | None = None) -> Sizing:
     dof = int(machine.coupling(name).dof)
     own = float(machine.model.dof_armature[dof]) / gear**2
     if not drive.axis.cycle_count:
-        machine.step()  # after which the drive knows its units
+        machine.step()  # after which the units of the drive are valid
     speed, rate = float(drive.axis.profile_speed), float(drive.axis.acceleration)
     velocity, position = plant.margins(gains)
     return Sizing(

@@ -1,10 +1,10 @@
-"""What a motor can do with what it moves: torque, speed, and the profile it can follow.
+"""The abilities of a motor with its load: torque, speed, and the profile that it can follow.
 
     torque = (inertia · acceleration + friction + load + viscous · speed) / efficiency
 
-all at the shaft. A profile may ask for `PEAK` of the highest torque, the rest is the controller's;
-what travel to and fro at a constant speed needs, rms of load and friction, must not be more than
-the rated torque.
+All values are at the shaft. A profile may use `PEAK` of the highest torque; the rest is reserved
+for the controller. Travel back and forth at constant speed must not need more than the rated torque
+(rms of load and friction).
 """
 
 import math
@@ -18,25 +18,25 @@ import numpy as np
 from ...drive.drive import Drive
 from ..engine.machine import Machine
 
-POSES = 17  # places on the joint's range where its load is looked at
-PEAK = 0.8  # share of the highest torque that a profile may ask for (inferred)
+POSES = 17  # positions in the range of a joint at which its load is computed
+PEAK = 0.8  # share of the highest torque that a profile may use (inferred)
 FAST = 0.9  # share of the highest speed (inferred)
-HALF = 0.5  # of the no-load speed, where a winding gives the most power, at half the stall torque
+HALF = 0.5  # share of the no-load speed with the most power, at half the stall torque
 
 
 @dataclass(frozen=True)
 class Load:
-    """What stands against a motor, at its shaft."""
+    """The load of a motor, at its shaft."""
 
-    inertia: float  # kg·m², all of it
-    holding: float  # Nm, gravity and springs, at the worst place
-    friction: float  # Nm, dry, in motion, at the worst place
-    breakaway: float  # Nm, the same at standstill
+    inertia: float  # kg·m², total
+    holding: float  # Nm, gravity and springs, at the worst position
+    friction: float  # Nm, dry friction in motion, at the worst position
+    breakaway: float  # Nm, dry friction at standstill
     viscous: float  # Nm·s/rad
-    loss: float  # of a gear, over what it carries; 0: none
+    loss: float  # friction of a gear over its load; 0: none
 
     def continuous(self, speed: float = 0.0) -> float:
-        """Torque (Nm, rms) of travel to and fro at a constant speed (rad/s)."""
+        """Torque (Nm, rms) of travel back and forth at a constant speed (rad/s)."""
         return math.hypot(self.holding, self.friction + self.viscous * speed) * (1 + self.loss)
 
     def peak(self, acceleration: float, speed: float) -> float:
@@ -45,14 +45,14 @@ class Load:
         return (self.holding + worst + self.inertia * acceleration) * (1 + self.loss)
 
     def acceleration(self, torque: float, speed: float) -> float:
-        """What a torque (Nm) accelerates with (rad/s²); negative: it is too little."""
+        """Acceleration (rad/s²) by a torque (Nm) at a speed (rad/s), negative for too little."""
         return (torque - self.peak(0.0, speed)) / self.inertia / (1 + self.loss)
 
 
 def load_of(machine: Machine, name: str, inertia: float) -> Load:
-    """The load of a drive whose inertia is known, over the range of its joint.
+    """Return the load of a drive over the range of its joint, with a given inertia (kg·m²).
 
-    All other joints stay as they are.
+    All other joints keep their positions.
     """
     number = machine.number(name)
     coupling, m = machine.couplings[number], machine.mechanics[number]
@@ -62,7 +62,7 @@ def load_of(machine: Machine, name: str, inertia: float) -> Load:
     drag = float(m.chain_drag) + float(m.chain_drag_growth) * travel
     coulomb = float(coupling.friction)
     springs = machine.model.tendon_stiffness.copy()
-    machine.model.tendon_stiffness[:] = 0.0  # a beam comes along
+    machine.model.tendon_stiffness[:] = 0.0  # a beam moves along
     holding = asked(machine, coupling, 0.0) / gear
     machine.model.tendon_stiffness[:] = springs
     cogging = float(m.cogging_torque)
@@ -74,9 +74,10 @@ def load_of(machine: Machine, name: str, inertia: float) -> Load:
 
 
 def asked(machine: Machine, coupling, speed: float) -> float:
-    """Largest force (N or Nm at the joint) that gravity, springs and damping ask for.
+    """Largest force (N or Nm at the joint) against gravity, springs and damping.
 
-    Over the range of the joint, all others as they are; at rest and at `speed` (m/s or rad/s).
+    It is taken over the range of the joint, at rest and at `speed` (m/s or rad/s); the other joints
+    keep their positions.
     """
     model, data = machine.model, mujoco.MjData(machine.model)
     data.qpos[:] = machine.data.qpos
@@ -99,17 +100,17 @@ def asked(machine: Machine, coupling, speed: float) -> float:
 
 @dataclass(frozen=True)
 class Motor:
-    """What a motor gives, from the objects of its drive."""
+    """The data of a motor, from the objects of its drive."""
 
     rated: float  # Nm
     highest: float  # Nm
     limit: float  # rad/s, 6080h
-    stall: float = math.inf  # Nm that the voltage drives at standstill
-    no_load: float = math.inf  # rad/s at which the voltage drives none
+    stall: float = math.inf  # Nm, torque by the voltage at standstill
+    no_load: float = math.inf  # rad/s, at which the voltage drives no torque
 
     @property
     def speed(self) -> float:
-        """Highest speed (rad/s) that has rated torque, or the most power if that is less."""
+        """Highest speed (rad/s) with rated torque, or with the most power if that is lower."""
         share = max(1.0 - self.rated / self.stall, HALF)
         return self.limit if math.isinf(self.no_load) else min(self.limit, share * self.no_load)
 
@@ -136,7 +137,7 @@ def motor_of(drive: Drive) -> Motor:
     resistance, voltage = float(od.motor_resistance) * 1e-6, float(od.supply_voltage) * 1e-3
     if not (constant > 0.0 and resistance > 0.0):
         return Motor(rated, rated * ceiling * 1e-3, limit)
-    # what the supply loses in its own resistance counts as one of the winding
+    # the resistance of the supply counts as one of the winding
     stall = constant * voltage / (resistance + float(od.supply_resistance) * 1e-6)
     return Motor(rated, rated * ceiling * 1e-3, limit, stall, voltage / back)
 
@@ -153,7 +154,7 @@ class Profile:
 
 
 def largest(takes: Callable[[float], bool], refused: float) -> float:
-    """The largest payload (or inertia) below a refused one that is taken; 0: none."""
+    """Return the largest payload (or inertia) below a refused one that is accepted; 0: none."""
     low, high = 0.0, refused
     while high - low > 0.02 * high:
         middle = 0.5 * (low + high)
@@ -162,7 +163,7 @@ def largest(takes: Callable[[float], bool], refused: float) -> float:
 
 
 def least(takes: Callable[[float], bool], refused: float, highest: float) -> float:
-    """The smallest payload above a refused one that is taken; infinite: none up to `highest`."""
+    """Return the smallest payload above a refused one that is accepted; infinite: none."""
     if not takes(highest):
         return math.inf
     low, high = refused, highest
@@ -173,15 +174,15 @@ def least(takes: Callable[[float], bool], refused: float, highest: float) -> flo
 
 
 def first(ascending: Sequence[float], takes: Callable[[float], bool]) -> float | None:
-    """The smallest of some factors that is taken, as all above it are; None: there is none."""
+    """Return the smallest factor that is accepted, as all above it are; None: no factor is."""
     place = bisect_left(ascending, True, key=takes)
     return ascending[place] if place < len(ascending) else None
 
 
 def possible(load: Load, motor: Motor, wanted: Profile) -> Profile:
-    """A profile as far as the motor follows it; homing stops behind a switch as soon as wanted.
+    """Limit a profile to the motor; the stopping distance behind a homing switch stays.
 
-    The acceleration is 0 where it cannot break away.
+    The acceleration is 0 if the motor cannot break away.
     """
     velocity = min(wanted.velocity, FAST * motor.speed)
     highest = max(load.acceleration(PEAK * motor.torque(velocity), velocity), 0.0)

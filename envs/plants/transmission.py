@@ -4,12 +4,12 @@ import math
 
 import mujoco
 
-MOTOR_SIDE_MASS = 1e-3  # kg; MuJoCo wants some for a moving body, the inertia is the armature
-FASTEST = 1.5  # rad of a vibration in one physics step; from 2 on the integrator diverges
+MOTOR_SIDE_MASS = 1e-3  # kg; MuJoCo needs a mass, the inertia is that of the armature
+FASTEST = 1.5  # rad of a vibration per physics step; from 2 on the integrator diverges
 
 
 def spring(spec: mujoco.MjSpec, body: str, name: str, stiffness: float, damping: float) -> None:
-    """Put a body on a spring in the way of the joint ``x``: the joint `name`."""
+    """Put a body on a spring joint `name` along the joint ``x``."""
     driven = spec.joint("x")
     joint = spec.body(body).add_joint(name=name, type=driven.type, axis=driven.axis)
     joint.stiffness[0] = stiffness
@@ -17,10 +17,10 @@ def spring(spec: mujoco.MjSpec, body: str, name: str, stiffness: float, damping:
 
 
 def drive_elastically(spec: mujoco.MjSpec, body: str, stiffness: float, damping: float) -> None:
-    """A spring, the joint called as `body`, between the motor side and what it moves.
+    """Put a spring between the motor side and `body`, as a joint of the same name.
 
-    Friction and end stops go from the motor's joint to what is moved, which is the tendon
-    ``x.guide``, the sum of the joints. The viscous friction stays: both move at nearly one speed.
+    Friction and end stops move from the joint of the motor to the tendon ``x.guide``, the sum of
+    both joints. The viscous friction stays, because both sides move at nearly the same speed.
     """
     spring(spec, body, body, stiffness, damping)
     motor_side, motor = spec.body("motor_side"), spec.joint("x")
@@ -49,15 +49,15 @@ def slow_enough(
     """Refuse a spring between two masses or inertias that vibrates too fast for the physics step.
 
     Args:
-        name: of the parameter.
-        stiffness: N/m or Nm/rad, as `units` say.
-        a: on one side of it (kg or kg·m²).
-        b: on the other.
+        name: name of the parameter.
+        stiffness: stiffness of the spring, in the first of `units`.
+        a: mass or inertia on one side, in the second of `units`.
+        b: mass or inertia on the other side.
         timestep: physics step (s).
-        units: of stiffness and of what it connects.
+        units: units of the stiffness, and of the masses or inertias.
 
     Raises:
-        TooFast: naming the parameter, the resonance and the timestep it needs.
+        TooFast: with the parameter, the resonance and the required timestep.
     """
     rate = math.sqrt(stiffness * (1.0 / a + 1.0 / b))
     if rate * timestep > FASTEST:

@@ -1,4 +1,4 @@
-"""Commissioning that ends tuned: gains for the plant, a profile and windows the motor can follow.
+"""Tunes an axis while it is commissioned: gains for its plant, profile and windows for its motor.
 
 A rigid inertia gets the symmetrical optimum for speed and a safe ratio for position. The delays of
 the velocity loop add up to T = 1.5 velocity cycles (sampling and hold) + the torque time constant +
@@ -8,9 +8,9 @@ below the crossover of the speed loop. Behind a spring the load is no longer fel
 resonance: there the loop closes around the motor side alone and must cross below 1 / T, which
 leaves a gain margin of pi / 2.
 
-Where a load much heavier than the motor side makes that too slow, where the margins are too small
-or the drive has no such numbers, the gains are the stiffest that keep the margins (`loops`) with
-the plant as the model has it (`shaft`), in the ranges of the drive's own objects.
+If a load much heavier than the motor side makes these gains too slow, if the margins are too small
+or the gains are out of the drive's ranges, the gains are instead the stiffest ones in these ranges
+that keep the margins (`loops`) with the plant of the model (`shaft`).
 """
 
 import math
@@ -43,14 +43,14 @@ from .sizing import PEAK, Load, Motor, Profile, load_of, motor_of, possible
 
 A = 3.0  # larger is softer and better damped
 SEPARATION = 4.0  # velocity crossover over position gain
-# of the window: friction must not deflect the axis farther with gains of the rule, or the end of a
-# move takes a tenth longer than with the stiffest gains (measured on 162 axes)
+# share of the window by which friction may deflect the axis with gains of the rule; beyond it the
+# end of a move takes a tenth longer than with the stiffest gains (measured on 162 axes)
 SOFT = 0.12
-UNKNOWN = 0.25  # of the torque of an acceleration, that the feed-forward may get wrong
-RESERVE = 4.0  # of the window over the following error to be expected
-REST = 400.0  # ms over the position gain (1/s): a soft loop crosses the window before it rests
+UNKNOWN = 0.25  # share of the acceleration torque that the feed-forward may miss
+RESERVE = 4.0  # ratio of the window to the expected following error
+REST = 400.0  # ms times the position gain (1/s): a soft loop crosses its window before it rests
 SHORTEST = 5  # ms
-SPRUNG = 0.9  # of all inertia, less of which is before a spring
+SPRUNG = 0.9  # share of the inertia on the motor side below which there is a spring
 UNSIGNED32 = 2**32
 ASKED = RequiredMargins()
 
@@ -64,7 +64,7 @@ class TooLight(Unmovable):
 
 
 def inertia_at_shaft(model: mujoco.MjModel, data: mujoco.MjData, dof: int, gear: float) -> float:
-    """Inertia the motor shaft feels (kg·m²): the joint's diagonal of the mass matrix / gear²."""
+    """Inertia at the motor shaft (kg·m²): the joint's diagonal of the mass matrix / gear²."""
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
     return float(mass[dof, dof]) / gear**2
@@ -92,9 +92,9 @@ def movable(make: Callable[[], object]) -> bool:
 
 
 def rule(drive: Drive, inertia: float, motor_side: float | None = None) -> Gains:
-    """Symmetrical optimum for `inertia` (kg·m² at the shaft).
+    """Return the gains of the symmetrical optimum for `inertia` (kg·m² at the shaft).
 
-    `motor_side` (kg·m²) is the part of it before any spring; all of it if not given.
+    `motor_side` (kg·m²) is the part of it before any spring, by default all of it.
     """
     filter_time = float(drive.axis.od.velocity_filter_time) * 1e-6
     delay = (
@@ -105,7 +105,7 @@ def rule(drive: Drive, inertia: float, motor_side: float | None = None) -> Gains
 
 
 def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict[str, int]:
-    """Objects 60F9h, 60FBh, 2010h for `inertia` by `rule`, in drive units."""
+    """Return objects 60F9h, 60FBh and 2010h for `inertia` by `rule`, in drive units."""
     axis, found = drive.axis, rule(drive, inertia, motor_side)
     return {
         "velocity_control_gain": round(found.velocity_gain / axis.velocity_gain_unit),
@@ -118,16 +118,16 @@ def gains(drive: Drive, inertia: float, motor_side: float | None = None) -> dict
 def fitting(
     plants: Sequence[LoopPlant], drive: Drive, by_rule: Gains, stiffness: float
 ) -> Gains | None:
-    """Gains of a drive for a plant: those of the rule where they do.
+    """Return gains of a drive for a plant: those of the rule if they suffice.
 
     Args:
-        plants: of `shaft.plant_at_shaft`, in all situations.
-        drive: whose ranges count, as far as `bode` can measure the loops.
-        by_rule: of `rule`.
-        stiffness: that they need to do (Nm/rad).
+        plants: plants of `shaft.plant_at_shaft`, in all situations.
+        drive: the drive whose ranges apply, as far as `bode` can measure the loops.
+        by_rule: gains of `rule`.
+        stiffness: stiffness that the gains of the rule need (Nm/rad).
 
     Returns:
-        None where no gains that the drive has keep the margins.
+        The gains, or None if no gains in the ranges keep the margins.
     """
     allowed = measurable(ranges(drive))
     taken = all(
@@ -153,19 +153,19 @@ def tuned(
     machine: Machine, name: str, *, inertia: float, motor_side: float, wanted: Profile,
     per_unit: float, window: float,
 ) -> dict[str, float]:
-    """Objects of a drive with which it moves: gains, profile, window of the following error.
+    """Return the objects of a tuned drive: gains, profile and following error window.
 
     Args:
-        machine: at rest; units and motor of the drive are set.
-        name: of the drive.
-        inertia: at the shaft (kg·m²).
+        machine: a machine at rest; units and motor of the drive are set.
+        name: name of the drive.
+        inertia: inertia at the shaft (kg·m²).
         motor_side: the part of it before any spring (kg·m²).
-        wanted: the profile that is asked for.
-        per_unit: one position unit, at the shaft (rad).
-        window: of the following error, at least (rad at the shaft).
+        wanted: the requested profile.
+        per_unit: one position unit at the shaft (rad).
+        window: smallest following error window (rad at the shaft).
 
     Raises:
-        Unmovable: what this motor or this drive cannot do.
+        Unmovable: this motor or this drive cannot move the load.
     """
     drive = machine.drives[name]
     motor, load = motor_of(drive), load_of(machine, name, inertia)
@@ -173,9 +173,9 @@ def tuned(
     can = possible(load, motor, wanted)
     if can.acceleration <= 0.0:
         raise Unmovable(_too_weak(drive, motor, load))
-    # what friction and a wrong inertia leave to the controller
+    # torque that friction and a wrong inertia leave to the controller
     left = load.breakaway + load.friction + UNKNOWN * inertia * can.acceleration
-    settings = _told(drive, inertia, motor_side)
+    settings = _inertia_settings(drive, inertia, motor_side)
     drive.commission(settings)
     pushes = (1.0, -1.0) if load.loss > 0.0 else (1.0,)
     plants = [plant_at_shaft(machine, name, pushes=each) for each in pushes]
@@ -201,11 +201,10 @@ def tuned(
     }
 
 
-def _told(drive: Drive, inertia: float, motor_side: float) -> dict[str, float]:
-    """What a drive has to know of its load before its loops can be looked at.
+def _inertia_settings(drive: Drive, inertia: float, motor_side: float) -> dict[str, float]:
+    """Objects that describe the load to a drive: they change its loops.
 
-    An observer is as fast as what it cannot tell from the motor: behind a spring it has to know the
-    motor side alone.
+    An observer of a motor before a spring needs the inertia of the motor side alone.
     """
     settings: dict[str, float] = {"acceleration_feed_forward": round(inertia * 1e9)}
     if drive.axis.od.observer_bandwidth > 0:
@@ -215,10 +214,10 @@ def _told(drive: Drive, inertia: float, motor_side: float) -> dict[str, float]:
 
 
 def turned(machine: Machine, name: str) -> None:
-    """Refuse what a frequency inverter cannot turn: its motor has the slip line that it has.
+    """Check that a frequency inverter can turn its load, with the fixed slip line of its motor.
 
     Raises:
-        Unmovable: a load above its rated torque, or (`TooLight`) one it would oscillate with.
+        Unmovable: the load exceeds the rated torque, or (`TooLight`) makes the motor oscillate.
     """
     drive, plant = machine.drives[name], plant_at_shaft(machine, name)
     _bears(drive, motor_of(drive), load_of(machine, name, plant.inertia))
@@ -235,7 +234,7 @@ def turned(machine: Machine, name: str) -> None:
 
 
 def _missing(plants: Sequence[LoopPlant], drive: Drive) -> str:
-    """Why no gains of the drive do, with the objects whose range they leave, and what would."""
+    """Explain why no gains of the drive suffice: the objects out of range, and a remedy."""
     needed, light = fastest(plants, ASKED, ANY), False
     out: list[str] = []
     for name, (of, per) in OBJECTS.items() if needed else ():
@@ -252,7 +251,7 @@ def _missing(plants: Sequence[LoopPlant], drive: Drive) -> str:
 
 
 def _too_weak(drive: Drive, motor: Motor, load: Load) -> str:
-    """A voltage that drives less torque than the load needs to break away and to travel."""
+    """Explain that the voltage drives less torque than the load needs to break away."""
     needed, ratio = load.peak(0.0, 0.0), load.peak(0.0, 0.0) / (PEAK * motor.torque(0.0))
     return (
         f"the DC link of drive {drive.model.name!r} drives {motor.torque(0.0):.3g} Nm at most "
@@ -263,7 +262,7 @@ def _too_weak(drive: Drive, motor: Motor, load: Load) -> str:
 
 
 def _bears(drive: Drive, motor: Motor, load: Load) -> None:
-    """Refuse a load that is more than the rated torque, for ever."""
+    """Refuse a load that permanently needs more than the rated torque."""
     needed = load.continuous()
     if needed > motor.rated:
         raise Unmovable(

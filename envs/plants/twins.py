@@ -1,7 +1,7 @@
-"""A twin: a machine found from a log, kept in a folder. Read here; `servogym.envs.twin` makes them.
+"""Reads twins: machines identified from a log, which `servogym.envs.twin` stores in folders.
 
-A folder holds ``twin.json``, a report and pictures. What is read is JSON with a schema, a checksum
-and names and ranges that are checked one by one; nothing in it runs as code.
+A folder holds ``twin.json``, a report and pictures. The JSON has a schema and a checksum, and its
+names and ranges are checked one by one; nothing in it runs as code.
 """
 
 import hashlib
@@ -26,13 +26,13 @@ VERDICTS = ("good", "fair", "refused", "interrupted")
 BUILT = {
     "load_stiffness": "stiffness",
     "load_damping": "structural_damping",
-}  # names it is built by
-DRAWN_ALONE = ("encoder_noise",)  # no interval is known of it
+}  # parameter of a twin: parameter of the builder
+DRAWN_ALONE = ("encoder_noise",)  # parameters without an interval
 
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter as it was found."""
+    """An identified parameter."""
 
     value: float
     low: float  # of the 95 % interval
@@ -42,7 +42,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Twin:
-    """What a folder says. `read` makes one; raises ValueError for a folder that is none."""
+    """The contents of a folder of `servogym twin`, as `read` returns them."""
 
     folder: Path
     drive: str
@@ -54,7 +54,7 @@ class Twin:
     held_out: Mapping[str, float]
     verdict: str
     cycle: float  # s, of the bus
-    lag: float  # s, from a set-point to a sample
+    lag: float  # s, from a set-point to the sample that shows it
     mechanics: str = ""  # the family of `servogym twin`
 
     @property
@@ -64,7 +64,7 @@ class Twin:
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """For ``randomise``: the intervals of what was found."""
+        """Intervals of the identified parameters, for ``randomise``."""
         return {
             name: (each.low, each.high)
             for name, each in self.parameters.items()
@@ -72,7 +72,7 @@ class Twin:
         }
 
     def datasheet(self) -> LinearAxisParameters | RotaryParameters | None:
-        """Parameters of the plant as found, of a linear or a rotary axis."""
+        """Return the identified parameters of a linear or rotary axis; None for other machines."""
         values = {BUILT.get(name, name): value for name, value in self.values.items()}
         given = {n: v for n, v in self.arguments.items() if n not in ("mechanics", "tuned")}
         if self.builder == "rotary_axis":
@@ -89,7 +89,7 @@ class Twin:
         return replace(preset, **known)  # type: ignore[arg-type]
 
     def give(self, machine: Machine) -> None:
-        """Set what was found in a machine of its structure: parameters and objects."""
+        """Set the identified parameters and objects in a machine of the same structure."""
         machine.drives[self.axis].commission(dict(self.objects))
         parameters.apply(machine, self.values, self.axis)
         machine.reset()
@@ -97,15 +97,15 @@ class Twin:
     def machine(
         self, make: Callable[..., Machine], drive: str | Path | DriveModel | None = None
     ) -> Machine:
-        """A machine of its own, commissioned and at rest.
+        """Build the machine of the twin, commissioned and at rest.
 
         Args:
             make: the function that `builder` names.
-            drive: a model in place of the twin's own.
+            drive: drive model instead of that of the twin.
         """
         model = load(self.drive if drive is None else drive)
         plant = self.datasheet()
-        # its gains are those of the log, not what this plant and motor could do
+        # its gains are those of the log, not those that suit plant and motor
         given = dict(self.arguments) if plant is None else {"parameters": plant, "tuned": False}
         machine = make(model, **given)
         self.give(machine)
@@ -115,7 +115,7 @@ class Twin:
 def machine_of(
     folder: str | Path, make: Callable[..., Machine], drive: str | Path | DriveModel
 ) -> Machine:
-    """The machine of a twin that `make` builds; the drive "generic" stands for that of the twin.
+    """Build the machine of a twin by `make`; the drive "generic" stands for that of the twin.
 
     Raises ValueError for another kind of machine, and as `read`.
     """
@@ -126,10 +126,11 @@ def machine_of(
 
 
 def read(folder: str | Path) -> Twin:
-    """The twin in a folder that `servogym twin` has written.
+    """Read the twin in a folder that `servogym twin` has written.
 
     Raises:
-        ValueError: there is none, it is damaged, of another version, or has unknown parameters.
+        ValueError: the folder has no twin, or the twin is damaged, has another version or unknown
+            parameters.
     """
     file = Path(folder) / FILE if Path(folder).suffix != ".json" else Path(folder)
     if not file.is_file():
@@ -178,7 +179,7 @@ def _checked(file: Path, content: Mapping[str, Any]) -> Twin:
 
 
 def checksum(content: Mapping[str, Any]) -> str:
-    """SHA-256 of everything but itself, as sorted JSON."""
+    """Return the SHA-256 of the contents without the checksum, as sorted JSON."""
     plain = {name: value for name, value in content.items() if name != "checksum"}
     text = json.dumps(plain, sort_keys=True, ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()

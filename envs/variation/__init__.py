@@ -1,1 +1,1 @@
-"""What differs from episode to episode: randomised parameters and injected faults."""
+"""Variation of episodes: randomised parameters and injected faults."""

@@ -1,4 +1,4 @@
-"""Faults to order of an environment: causes inside its drives, and what goes wrong on their bus."""
+"""Fault injection of an environment: causes inside its drives, and faults of their bus."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
@@ -14,16 +14,16 @@ Faults = Mapping[str, float] | Sequence["str | Fault"] | None  # the argument of
 
 
 class Injection(NamedTuple):
-    """What may happen to a drive."""
+    """A cause of a fault that may be injected into a drive."""
 
     name: str  # in an info
     drive: Drive
     cause: str
-    probability: float  # a step
+    probability: float  # per step
 
 
 def sort(faults: Faults) -> tuple[dict[str, float], list["Fault"]]:
-    """Causes inside drives with their probabilities, and faults of the bus.
+    """Separate causes inside drives, with their probabilities, from faults of the bus.
 
     Raises ValueError for a line that is not a fault of the bus.
     """
@@ -51,7 +51,7 @@ def sort(faults: Faults) -> tuple[dict[str, float], list["Fault"]]:
 def injections(
     causes: Mapping[str, float], machine: Mapping[str, Drive], drives: Sequence[Drive]
 ) -> list[Injection]:
-    """What may be injected into the drives of the agent. Raises ValueError naming what is wrong."""
+    """Return the injections into the drives of the agent. Raises ValueError for unknown names."""
     own = {name: drive for name, drive in machine.items() if drive in drives}
     several = len(own) > 1
     rows = []

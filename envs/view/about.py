@@ -1,4 +1,4 @@
-"""What a task tells of itself: metrics of its own, and a sensor of the load."""
+"""Descriptions that a task gives of itself: its own metrics, and a sensor at the load."""
 
 import re
 from typing import NamedTuple
@@ -7,7 +7,7 @@ METRES = re.compile(r"\((µ?)m(|/[^)]*)\)")  # a unit in a heading
 
 
 class Metric(NamedTuple):
-    """A row of the table of a comparison: what its values mean."""
+    """The description of a metric, a column in the table of a comparison."""
 
     heading: str  # with unit
     better: str  # "high" or "low"; empty: neither
@@ -15,7 +15,7 @@ class Metric(NamedTuple):
 
 
 def in_unit(heading: str, unit: str) -> str:
-    """A heading for coordinates in `unit`: "m", "rad", or "m or rad".
+    """Return a heading for coordinates in `unit`: "m", "rad", or "m or rad".
 
     >>> in_unit("peak following error (µm)", "rad")
     'peak following error (µrad)'
@@ -30,7 +30,7 @@ def in_unit(heading: str, unit: str) -> str:
 class Sensor(NamedTuple):
     """Sensor at the load, which the drive does not read: two observations and their scales."""
 
-    name: str  # of the observation of its deflection from the axis
-    rate_name: str  # and of the rate of that
-    deflection: float  # m
-    rate: float  # m/s
+    name: str  # observation of the deflection from the axis
+    rate_name: str  # observation of the rate of the deflection
+    deflection: float  # m, that is 1.0
+    rate: float  # m/s, that is 1.0

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: so that the machine and all its motion are in sight."""
+"""Chooses the camera of a picture so that the machine and all its motion are visible."""
 
 import math
 
@@ -7,9 +7,9 @@ import numpy as np
 
 from .decor import Part, parts, scale
 
-MARGIN = 1.06  # around what has to be seen
-NEAR, FARTHER, STEPS = 0.2, 1.03, 200  # m, and how the distance grows until all is in sight
-POSES = 24  # of the joints that turn, looked at beside the present one
+MARGIN = 1.06  # around the visible points
+NEAR, FARTHER, STEPS = 0.2, 1.03, 200  # first distance (m), its growth, and the number of tries
+POSES = 24  # random poses of the hinges, besides the present one
 
 
 CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).T.reshape(-1, 3)
@@ -24,11 +24,11 @@ FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 def framed(
     model: mujoco.MjModel, data: mujoco.MjData, aspect: float, below: float, above: float
 ) -> mujoco.MjvCamera:
-    """A free camera, from the side the model says.
+    """Return a free camera with the direction of the model that shows the whole machine.
 
     Args:
-        model: of the machine.
-        data: its state; is left as it is.
+        model: the MuJoCo model of the machine.
+        data: its state, which is not changed.
         aspect: width of the picture over its height.
         below, above: shares of the height that panels hide.
     """
@@ -57,7 +57,7 @@ def framed(
         wide = half * aspect * depth
         if depth.min() > 0.0:
             place = y / (half * depth)
-            rise = (place.max() + place.min()) / 2  # of what is seen, over the middle
+            rise = (place.max() + place.min()) / 2  # of the visible points, above the middle
             if (np.abs(x) <= wide).all() and (place.max() - place.min()) / 2 <= free:
                 break
         distance *= FARTHER
@@ -67,9 +67,9 @@ def framed(
 
 
 def visible_points(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return the points that geoms other than the floor can reach, ``(n, 3)`` (m).
+    """Return points that geoms other than the floor can reach, ``(n, 3)`` (m).
 
-    Sliding joints stand at both their ends, and those that turn anywhere, all at once.
+    Slides are moved to both their ends; hinges are put into random poses.
     """
     scratch = mujoco.MjData(model)
     geoms = np.flatnonzero(~np.isin(model.geom_type, FLOORS))
@@ -102,13 +102,13 @@ def _drives(model: mujoco.MjModel) -> np.ndarray:
 
 
 def beside(model: mujoco.MjModel, points: np.ndarray) -> list[Part]:
-    """The scale on the floor, where there is one."""
+    """Return the scale on the floor; nothing without a floor."""
     height = floor(model)
     return [] if height is None else scale(points.min(axis=0), points.max(axis=0), height)
 
 
 def floor(model: mujoco.MjModel) -> float | None:
-    """Height of the first plane (m); None: there is none."""
+    """Return the height of the first plane (m); None without a plane."""
     planes = np.flatnonzero(model.geom_type == FLOORS[0])
     return float(model.geom_pos[planes[0], 2]) if len(planes) else None
 

@@ -1,6 +1,6 @@
-"""What a picture of an episode shows: quantities of an environment over the time, a panel each.
+"""Channels of a picture of an episode: quantities of an environment over time, one panel each.
 
-Each is read from MjData, from the record of the episode, or from those of the drives.
+They are read from MjData, from the record of the episode, or from those of the drives.
 """
 
 import math
@@ -17,34 +17,34 @@ Quantity = Callable[[Any], float]  # of an environment, in the unit of its chann
 
 
 class Channel(NamedTuple):
-    """A panel: its label with unit, and what it shows of an environment."""
+    """A panel: its label with unit, and the quantity of an environment that it shows."""
 
     label: str
     value: Quantity
     aim: Quantity | None = None  # reference or goal
-    window: Quantity | None = None  # half of what is allowed, to both sides of the aim or of 0
-    nearest: float = math.inf  # so many windows are shown, what lies beyond is out of the picture
+    window: Quantity | None = None  # permitted deviation to both sides of the aim, or of 0
+    nearest: float = math.inf  # number of windows that the panel shows
     wide: bool = False  # the window is wide beside the values: linear near 0, logarithmic beyond
 
 
 def joint(env: Any, name: str) -> tuple[float, float]:
-    """Coordinate and velocity of a joint (m and m/s, or rad and rad/s)."""
+    """Return coordinate and velocity of a joint (m and m/s, or rad and rad/s)."""
     joint = env.machine.data.joint(name)
     return float(joint.qpos[0]), float(joint.qvel[0])
 
 
 def position(env: Any) -> float:
-    """Position of the load of a linear axis, behind all elasticity (m)."""
+    """Return the position of the load of a linear axis, behind all elasticity (m)."""
     return float(env.machine.data.qpos.sum())
 
 
 def velocity(env: Any) -> float:
-    """Velocity of the load of a linear axis (m/s)."""
+    """Return the velocity of the load of a linear axis (m/s)."""
     return float(env.machine.data.qvel.sum())
 
 
 def goal(env: Any) -> float:
-    """``goal`` of the episode (mm); not a number where a task has none."""
+    """Return ``goal`` of the episode (mm); NaN if the task has none."""
     return MM * float(getattr(env.episode, "goal", math.nan))
 
 
@@ -59,7 +59,7 @@ def in_mm(quantity: Quantity) -> Quantity:
 
 
 def linear_axis(what: str, *more: Channel) -> tuple[Channel, ...]:
-    """Channels of a linear axis that has to settle at ``episode.goal`` within ``tolerance``."""
+    """Return channels of a linear axis that settles at ``episode.goal`` within ``tolerance``."""
     return (
         Channel(f"{what}\n(mm)", in_mm(position), goal),
         Channel(
@@ -107,8 +107,9 @@ def _torque_limit(env: Any) -> float:
 
 
 def drives(several: bool) -> tuple[Channel, ...]:
-    """Of the drives an agent commands, in every task; of several the larger value; the peaks of
-    each step.
+    """Return channels of the drives that an agent commands: the peaks of each step.
+
+    Of several drives the larger value is shown.
     """
     larger = ("larger following\nerror (µm)", "larger torque\n/ rated")
     following_error, torque = larger if several else ("following error\n(µm)", "torque / rated")

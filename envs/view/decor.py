@@ -1,8 +1,8 @@
-"""What makes a plant look like a machine, and tells its size; drawn only, it weighs nothing.
+"""Decoration that makes a plant look like a machine, and shows its size in pictures.
 
-Parts are boxes, cylinders and the like at bodies of the plants that come with the laboratory, found
-by the name of the model. They are not geoms of the model: each of those costs time in every step of
-the physics. A machine of somebody's own has none but the scale on the floor.
+Parts are boxes and cylinders at the bodies of the supplied plants, which are found by the name of
+the model. They are not geoms of the model, which would cost time in every step of the physics. A
+machine of the user only gets the scale on the floor.
 """
 
 import math
@@ -20,7 +20,7 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Part(NamedTuple):
-    """Something that is drawn with a body."""
+    """A decorative shape that is drawn with a body."""
 
     body: int
     kind: int  # mjtGeom
@@ -134,7 +134,7 @@ PLANTS: dict[str, Callable[[mujoco.MjModel], Iterator[Part]]] = {
 
 
 def scale(low: np.ndarray, high: np.ndarray, floor: float) -> list[Part]:
-    """A bar of 0.1 m steps on the floor, before a machine that fills this box (m)."""
+    """Return a scale with steps of 0.1 m on the floor, in front of a machine in this box (m)."""
     steps = int(np.clip((high[0] - low[0]) // SQUARE, 2, 5))
     begin = SQUARE * math.floor(float(low[0]) / SQUARE + 1.0)
     y = float(low[1]) - 0.06

@@ -1,8 +1,9 @@
-"""What a picture says beside the scene: the drives line by line, and how far the goal is.
+"""Text panels of a picture: a line for each drive, and the distance to the goal.
 
-A line holds state and mode by name, the following error in its window 6065h, the internal limit
-that is active, and above the lines stands the fault of a drive. The bar of the following error has
-a root scale, so that a small error is seen in a wide window: ticks at 1 %, 10 % and at the window.
+A line shows state and mode by name, the following error within its window 6065h, and the active
+internal limit; the fault of a drive is shown above the lines. The bar of the following error has a
+square-root scale, so that a small error is visible in a wide window: ticks at 1 %, 10 % and at the
+window.
 """
 
 import math
@@ -46,12 +47,12 @@ HEAD, TITLES, ROW = 32, 22, 28  # heights (px)
 NAME, STATE, MODE, BAR, ERROR, LIMIT = 12, 80, 272, 438, 594, 776  # left edges (px)
 BAR_WIDTH = 146  # px
 INSET, FRAME = 190, 28  # of the view from above (px)
-SHARE = 0.86  # of half the bar is the window; beyond it the error is out
+SHARE = 0.86  # share of half the bar that is the window
 TICKS = (0.01, 0.1)  # of the window
 
 
 class Line(NamedTuple):
-    """One drive as a picture shows it."""
+    """The data of a drive that a picture shows."""
 
     name: str
     state: State
@@ -59,18 +60,18 @@ class Line(NamedTuple):
     error: float  # following error (mm or mrad)
     window: float  # 6065h (mm or mrad), inf: off
     unit: str
-    limits: str  # active now, empty without one
+    limits: str  # active limits, empty without one
     fault: str  # code and meaning, empty without one
 
     @property
     def numbers(self) -> str:
-        """Following error and its window, with unit."""
+        """Following error and its window with unit, as a text."""
         window = f"±{self.window:g}" if math.isfinite(self.window) else "off"
         return f"{self.error:+.3f} / {window} {self.unit}".replace("-", "−")
 
 
 def lines(machine: Machine) -> list[Line]:
-    """A line a drive, of the last position cycle."""
+    """Return a line for each drive, with the values of the last position cycle."""
     return [
         _line(machine, i, name, drive) for i, (name, drive) in enumerate(machine.drives.items())
     ]
@@ -80,7 +81,7 @@ def _line(machine: Machine, i: int, name: str, drive: Drive) -> Line:
     coupling, axis, model = machine.couplings[i], drive.axis, machine.model
     joint = model.dof_jntid[coupling.dof]
     sliding = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-    scale = 1e3 / float(coupling.gear)  # of a rad of the motor shaft
+    scale = 1e3 / float(coupling.gear)  # mm or mrad per rad of the motor shaft
     active = int(axis.od.active_limits)
     mode = drive.mode
     return Line(
@@ -148,12 +149,12 @@ class Overlay:
             self._banner(image[HEAD + ROW * i : HEAD + ROW * (i + 1)], fault)
 
     def inset(self, image: np.ndarray, wanted: np.ndarray, tracks: list[np.ndarray]) -> None:
-        """A contour from above in the upper right corner, X to the right.
+        """Draw a contour from above into the upper right corner, with X to the right.
 
         Args:
-            image: drawn into, shape ``(height, width, 3)`` uint8.
+            image: the image, shape ``(height, width, 3)`` uint8.
             wanted: the contour, ``(n, 2)`` (m).
-            tracks: what was driven, each ``(m, 2)`` (m).
+            tracks: the paths travelled, each ``(m, 2)`` (m).
         """
         left, top = self._width - INSET - 12, HEAD + 12
         pixels = image[top : top + INSET, left : left + INSET]
@@ -162,16 +163,16 @@ class Overlay:
         room = INSET - 2 * FRAME
         zoom = room / max(float((high - low).max()), 1e-6)  # px/m
 
-        def seen(places: np.ndarray) -> list[tuple[float, float]]:
+        def pixels_of(places: np.ndarray) -> list[tuple[float, float]]:
             x, y = ((places - (low + high) / 2) * zoom).T
             return list(zip(INSET / 2 + x, INSET / 2 - 6 - y, strict=True))
 
-        draw.line(seen(wanted), DIM, 4, "curve")
+        draw.line(pixels_of(wanted), DIM, 4, "curve")
         for track in tracks:
             if len(track) > 1:
-                draw.line(seen(track), OUTSIDE, 2, "curve")
+                draw.line(pixels_of(track), OUTSIDE, 2, "curve")
             if len(track):
-                ((x, y),) = seen(track[-1:])
+                ((x, y),) = pixels_of(track[-1:])
                 draw.ellipse((x - 4, y - 4, x + 4, y + 4), TEXT)
         step = 10.0 ** math.floor(math.log10(room / zoom / 2))  # m
         end = float(FRAME + step * zoom)
@@ -182,7 +183,7 @@ class Overlay:
     def _open(
         self, pixels: np.ndarray, panel: Image.Image
     ) -> tuple[ImageDraw.ImageDraw, Image.Image]:
-        """A panel over the pixels, to be drawn on."""
+        """Blend a panel over the pixels; -> an object to draw with, and the result."""
         strip = Image.blend(Image.fromarray(pixels), panel, OPACITY / 255)
         return ImageDraw.Draw(strip), strip
 
@@ -212,15 +213,15 @@ class Overlay:
 
 
 def _place(share: float) -> int:
-    """Where in the bar a following error lies (px), as a share of the window."""
+    """Place in the bar (px) of a following error, given as a share of the window."""
     root = math.copysign(math.sqrt(abs(share)) * SHARE, share)
     return BAR + round(BAR_WIDTH / 2 * (1 + min(max(root, -1.0), 1.0)))
 
 
 @cache
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans of matplotlib: the same on every machine, with ±, − and ²."""
-    import matplotlib  # not with every environment, it takes a while
+    """Return DejaVu Sans of matplotlib, which is the same everywhere and has ±, − and ²."""
+    import matplotlib  # only when it is needed, because it takes a while
 
     file = f"fonts/ttf/DejaVuSans{'-Bold' * bold}.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / file, size)
@@ -230,7 +231,7 @@ def _write(
     draw: ImageDraw.ImageDraw, place: tuple[int, int], text: str, width: int, colour: str,
     font: ImageFont.FreeTypeFont,
 ) -> None:
-    """Text from `place` (left, middle) to the right, shortened to `width` (px) with an ellipsis."""
+    """Write text from `place` (left, middle), shortened to `width` (px) with an ellipsis."""
     if font.getlength(text) > width:
         while text and font.getlength(text + "…") > width:
             text = text[:-1]

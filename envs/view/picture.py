@@ -1,4 +1,4 @@
-"""What an environment looks like: images with an overlay, and a window; ghosts show the goals."""
+"""Pictures of an environment: images with an overlay, and a window; ghosts show the goals."""
 
 import contextlib
 import importlib
@@ -20,11 +20,11 @@ from .camera import beside, floor, framed, visible_points
 from .decor import Part, parts
 from .overlay import Line, Overlay, lines
 
-LONGEST = 400  # places of a path that are kept
-APART = 1.5e-3  # m between two of them
+LONGEST = 400  # places of a path that are stored
+APART = 1.5e-3  # m, distance of two of them
 MARK = 0.02  # m, radius of the ghost of a site
 UPRIGHT = np.eye(3).ravel()
-ARRIVED = 1e-5  # m, and elements of a rotation: what is nearer to its goal has no ghost
+ARRIVED = 1e-5  # m, or elements of a rotation; a geom closer to its goal has no ghost
 THICK = 3.0  # px, of a line
 DRIVEN = np.array([0.85, 0.2, 0.15, 1.0], np.float32)
 WANTED = np.array([0.1, 0.1, 0.1, 0.6], np.float32)
@@ -36,9 +36,8 @@ INSTEAD = "use render_mode='rgb_array', or `servogym watch ENV --record out.gif`
 def _before_mesa() -> None:
     """Load triton's LLVM before that of Mesa's software renderer.
 
-    triton comes with torch. The other order ends the process in `import triton` (seen with triton
-    3.9): somebody who renders first and trains afterwards. Where Mesa is there already, as some
-    other program part has rendered, nothing is touched.
+    triton comes with torch. In the other order, rendering before training, `import triton` ends the
+    process (observed with triton 3.9). If Mesa is loaded already, nothing is done.
     """
     maps = Path("/proc/self/maps")
     if "triton" in sys.modules or not maps.is_file() or "libLLVM" in maps.read_text():
@@ -48,9 +47,9 @@ def _before_mesa() -> None:
 
 
 def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
-    """Draws off screen; without a display, and where MUJOCO_GL says nothing, through EGL.
+    """Return a renderer off screen; without a display and without MUJOCO_GL it uses EGL.
 
-    MuJoCo chooses when it is imported, which is before anybody can know that a picture is wanted.
+    MuJoCo chooses its backend when it is imported, before it is known whether a picture is needed.
     """
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform == "linux" and not display and not os.environ.get("MUJOCO_GL"):
@@ -63,7 +62,7 @@ def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
 
 
 class Scene(Protocol):
-    """What is drawn, such as a `ServoEnv`."""
+    """The environment that is drawn, such as a `ServoEnv`."""
 
     ID: ClassVar[str]
     episode: Any
@@ -71,26 +70,26 @@ class Scene(Protocol):
 
     @property
     def time(self) -> float:
-        """Since the episode began (s)."""
+        """Time since the episode began (s)."""
 
     @property
     def machine(self) -> Machine:
         """The machine in its present state."""
 
     def ghosts(self) -> Mapping[str, Any]:
-        """Displacement of the goal by body, shape ``(3,)`` (m)."""
+        """Return the displacement to the goal by body, shape ``(3,)`` (m)."""
 
     def goal_pose(self) -> np.ndarray | None:
-        """Coordinates of the machine at its goal, shape ``(nq,)``, of tasks that have one."""
+        """Return coordinates of the machine at its goal, shape ``(nq,)``, or None."""
 
     def path(self) -> np.ndarray:
-        """What is to be followed, shape ``(n, 3)`` (m)."""
+        """Return the path to be followed, shape ``(n, 3)`` (m)."""
 
 
 class Picture:
     """Draws one environment, off screen (``render_mode="rgb_array"``) or in a window ("human").
 
-    An episode goes on bit by bit the same, whether it is drawn or not.
+    Drawing does not change the episode in a single bit.
     """
 
     def __init__(self, env: Scene):
@@ -115,7 +114,7 @@ class Picture:
             self.follow()
 
     def image(self) -> np.ndarray:
-        """Shape ``(540, 960, 3)``, uint8. Raises RuntimeError where there is no OpenGL."""
+        """Return an image, shape ``(540, 960, 3)``, uint8. Raises RuntimeError without OpenGL."""
         machine = self._env.machine
         if self._renderer is None:
             try:
@@ -142,9 +141,9 @@ class Picture:
         return image
 
     def show(self) -> None:
-        """Bring the window up to date; once its user has closed it, nothing happens.
+        """Redraw the window; nothing happens once its user has closed it.
 
-        Raises RuntimeError where there is no display.
+        Raises RuntimeError without a display.
         """
         if self._viewer is None:
             self._viewer = self._window()
@@ -173,16 +172,16 @@ class Picture:
         viewer = mujoco.viewer.launch_passive(
             machine.model, machine.data, show_left_ui=False, show_right_ui=False
         )
-        # the viewer has computed forces, from which the next step would start its solver
+        # the viewer has computed forces, with which the next step would start its solver
         mujoco.mj_setState(machine.model, machine.data, state, STATE)
         with viewer.lock():
-            seen = framed(machine.model, machine.data, WIDTH / HEIGHT, 0.1, 0.1)
+            framing = framed(machine.model, machine.data, WIDTH / HEIGHT, 0.1, 0.1)
             for name in ("type", "azimuth", "elevation", "distance", "lookat"):
-                setattr(viewer.cam, name, getattr(seen, name))
+                setattr(viewer.cam, name, getattr(framing, name))
         return viewer
 
     def _head(self) -> tuple[str, str, str]:
-        """Title, distance of each ghost, reward and time."""
+        """Title, distance of each ghost, and reward with time."""
         env = self._env
         goals = ", ".join(
             f"{body} {1e3 * float(np.linalg.norm(displacement)):.3f}"
@@ -193,7 +192,7 @@ class Picture:
         return env.ID.partition("/")[2], goal, reward
 
     def _texts(self) -> list[tuple[int, int, str, str]]:
-        """The overlay as the window's own text: a box above, one below."""
+        """The overlay as texts of the window: a box above, one below."""
         title, goal, reward = self._head()
         machine = lines(self._env.machine)
         font = mujoco.mjtFontScale.mjFONTSCALE_150
@@ -208,7 +207,7 @@ class Picture:
         ]
 
     def _ghosts(self, scene: mujoco.MjvScene) -> None:
-        """Add what has a ghost, translucent, where it should be: bodies, or all that moves."""
+        """Add translucent ghosts at the goals: of bodies and sites, or of all moving geoms."""
         machine = self._env.machine
         model, here = machine.model, machine.data
         for name, displacement in self._env.ghosts().items():
@@ -231,7 +230,7 @@ class Picture:
                 _ghost(scene, model.geom_type[geom], model.geom_size[geom], place, turn)
 
     def _decorate(self, scene: mujoco.MjvScene) -> None:
-        """Add what makes the plant a machine, and the scale on the floor."""
+        """Add the decoration of the plant, and the scale on the floor."""
         model, data = self._env.machine.model, self._env.machine.data
         if self._parts is None:
             self._parts = [*parts(model), *beside(model, visible_points(model, data))]
@@ -252,9 +251,9 @@ class Picture:
             scene.ngeom += 1
 
     def _driven(self, scene: mujoco.MjvScene) -> None:
-        """The path of each body that has a goal, and what it should follow, as lines.
+        """Add the path of each body with a goal, and the path to be followed, as lines.
 
-        A contour lies on the floor below, where the machine does not hide it.
+        A contour is drawn on the floor, where the machine does not hide it.
         """
         env = self._env
         wanted = env.path()
@@ -275,7 +274,7 @@ class Picture:
                 _line(scene, *ends, DRIVEN)
 
     def follow(self) -> None:
-        """Remember where bodies with a goal are; at each step, for a path without corners."""
+        """Record the places of bodies with a goal, at each step, for a smooth path."""
         env = self._env
         if env.time < self._time:
             self._path.clear()  # another episode
@@ -291,7 +290,7 @@ class Picture:
         return {body: _tip(self._env.machine, body) for body in self._env.ghosts()}
 
     def _from_above(self, image: np.ndarray) -> None:
-        """A contour once more, large, in a corner."""
+        """Draw a contour once more, large, in a corner."""
         wanted = self._env.path()
         if len(wanted):
             tracks = [np.array([place[body][:2] for place in self._path if body in place])
@@ -335,7 +334,7 @@ def _ghost(
 
 
 def _line(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: np.ndarray) -> None:
-    """A stretch of a line; it has no shadow."""
+    """Add a straight line, which has no shadow."""
     if scene.ngeom >= scene.maxgeom or np.allclose(begin, end):
         return
     geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_LINE
@@ -345,7 +344,7 @@ def _line(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: np
 
 
 def require_display() -> None:
-    """Raise RuntimeError, with what to do instead, where no window can be opened."""
+    """Raise RuntimeError with an alternative if no window can be opened."""
     variables = ("DISPLAY", "WAYLAND_DISPLAY")
     if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
         raise RuntimeError(
@@ -353,11 +352,11 @@ def require_display() -> None:
         )
     import glfw
 
-    if not glfw.init():  # the viewer would wait for its window without end
+    if not glfw.init():  # the viewer would wait for its window forever
         raise RuntimeError(f"no window can be opened on this display: {INSTEAD}")
 
 
 def _plain(line: Line) -> str:
-    """A line in the characters that the window's font has."""
+    """A line as text, in the characters of the window's font."""
     text = f"{line.state.name.lower().replace('_', ' ')}  {line.mode}  {line.numbers}"
     return text.replace("±", "+-").replace("−", "-")
