@@ -166,6 +166,10 @@ class Options(UserDict[str, Any]):
     def __ror__(self, other: Any) -> Any:
         return {**other, **self}
 
+    def number(self, name: str, default: float, low: float, high: float, unit: str) -> float:
+        """Return an option, or the default. Raises ValueError if it is out of range."""
+        return in_range(f"options[{name!r}]", self.get(name, default), low, high, unit)
+
     def refuse_unread(self) -> None:
         """Raise ValueError for an option that the task has not asked for."""
         for name in self.data.keys() - self._asked.keys():

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
+from ..engine.checks import Options
 from ..engine.machine import Machine
 from ..plants.axis_parameters import Joints, LinearAxisParameters
 from ..plants.gantry import GantryParameters
@@ -67,7 +68,7 @@ class Task:
         """Build and commission the machine."""
         raise NotImplementedError
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         """Bring the machine to the start of an episode, by `np_random` and the reset's options."""
         raise NotImplementedError
 

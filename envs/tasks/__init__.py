@@ -1,4 +1,4 @@
-"""The tasks: one file an environment, the docstring of its class is its page."""
+"""The tasks: one file per environment; the docstring of its class is its page."""
 
 from .commissioning import CommissioningEnv
 from .compliant import CompliantAxisEnv
@@ -15,6 +15,6 @@ TASKS = (
     LinearAxisEnv, LinearAxisTrackingEnv, RotaryAxisEnv, CompliantAxisEnv, HomingEnv,
     CommissioningEnv, GantrySyncEnv, GantryContourEnv, GantrySwayEnv,
 )
-ON_MODELS = (RobotEnv,)  # their machine is an argument
-POINT_TO_POINT = LinearAxisEnv  # what speed and positioning are measured with
-SWINGING_LOAD = CompliantAxisEnv  # the same with a sensor at a load on a spring
+ON_MODELS = (RobotEnv,)  # tasks whose machine is an argument
+POINT_TO_POINT = LinearAxisEnv  # the task for benchmarks of speed and positioning
+SWINGING_LOAD = CompliantAxisEnv  # the same with a load on a spring and a sensor there

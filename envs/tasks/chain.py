@@ -1,6 +1,6 @@
-"""Where a site of a robot is, from the coordinates alone: forward kinematics in compiled code.
+"""Forward kinematics in compiled code: the position of a site from the coordinates alone.
 
-Machines of a vector share one MjData, so its ``site_xpos`` may be that of another one.
+Machines of a vector share one MjData, so its ``site_xpos`` may belong to another machine.
 """
 
 import math
@@ -11,16 +11,16 @@ import numpy as np
 from ...drive.kernel.jit import block
 
 LONGEST = 64  # rows
-OFFSET, TURN, SHIFT = range(3)  # what a row does
-# kind, number of the coordinate, its value in the MJCF, then: place and quaternion of a body in its
-# parent (OFFSET), or anchor and axis of a joint in its body
+OFFSET, TURN, SHIFT = range(3)  # kinds of rows
+# columns: kind, number of the coordinate, its value in the MJCF, then place and quaternion of a
+# body in its parent (OFFSET), or anchor and axis of a joint in its body
 WIDTH = 10
 
 
 def table(model: mujoco.MjModel, site: int) -> np.ndarray:
-    """The way from the world to a site, shape ``(LONGEST, WIDTH)``.
+    """Return the kinematic chain from the world to a site, shape ``(LONGEST, WIDTH)``.
 
-    Raises ValueError for a ball or free joint on it, or where it is too long.
+    Raises ValueError if the chain has a ball or free joint, or is too long.
     """
     bodies, body = [], int(model.site_bodyid[site])
     while body:
@@ -35,7 +35,7 @@ def table(model: mujoco.MjModel, site: int) -> np.ndarray:
             if kind not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
                 raise ValueError(
                     f"site {model.site(site).name!r} hangs on {model.joint(joint).name!r}, which "
-                    "is a ball or free joint: choose a site on a robot that stands fast"
+                    "is a ball or free joint: choose a site on a robot with a fixed base"
                 )
             coordinate = int(model.jnt_qposadr[joint])
             turns = kind == int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -54,7 +54,7 @@ def table(model: mujoco.MjModel, site: int) -> np.ndarray:
 
 @block
 def place(rows, qpos, at):
-    """Write the place (m) the rows of `table` lead to at coordinates `qpos` into `at`."""
+    """Write the position (m) of the site of `table` at coordinates `qpos` into `at`."""
     x = y = z = 0.0
     a, b, c, d = 1.0, 0.0, 0.0, 0.0  # quaternion of the frame
     for i in range(LONGEST):
@@ -69,7 +69,7 @@ def place(rows, qpos, at):
             if kind == SHIFT:
                 u, v, w = way * rows[i, 6], way * rows[i, 7], way * rows[i, 8]
                 p, q, r, s = 1.0, 0.0, 0.0, 0.0
-            else:  # turns about its anchor, which stays where it is
+            else:  # turns about its anchor
                 half, part = math.cos(0.5 * way), math.sin(0.5 * way)
                 p, q, r, s = half, part * rows[i, 6], part * rows[i, 7], part * rows[i, 8]
                 e, f, g = rows[i, 3], rows[i, 4], rows[i, 5]
@@ -88,7 +88,7 @@ def place(rows, qpos, at):
 
 @block
 def _turned(a, b, c, d, x, y, z):
-    """A vector turned by a quaternion."""
+    """Rotate a vector by a quaternion."""
     u = 2.0 * (c * z - d * y)
     v = 2.0 * (d * x - b * z)
     w = 2.0 * (b * y - c * x)

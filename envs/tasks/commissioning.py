@@ -1,4 +1,4 @@
-"""servogym/Commissioning-v0: from a drive in fault to an axis in position, word by word."""
+"""servogym/Commissioning-v0: bring a drive in fault to an axis in position, word by word."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from ...drive.kernel.faults import Cause, Reaction
 from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode, State
 from ...drive.model.model import DriveModel
-from ..engine.checks import in_range
+from ..engine.checks import Options, in_range
 from ..engine.machine import Machine
 from ..engine.tick import axes_at
 from ..environment.servo_env import METRE, ServoEnv
@@ -21,20 +21,20 @@ from ..view.channels import Channel, goal, in_mm, position, velocity
 from .plant import of_datasheet
 from .positioning import STROKE
 
-MARGIN = 0.02  # m, starts and goals keep away from the ends
-LONGEST_SEARCH = 0.3  # m, starts are no farther from the limit switch
-NEAREST_GOAL = 0.1  # m from the zero, where homing ends
-# The search, 1.5 s from the farthest start, stops within 5 mm of the switch: at the 1 m/s² of a
-# slower one it would need the 20 mm to the end of the axis.
+MARGIN = 0.02  # m, distance of starts and goals from the ends
+LONGEST_SEARCH = 0.3  # m, largest distance of a start from the limit switch
+NEAREST_GOAL = 0.1  # m from the zero, at which homing ends
+# The search takes 1.5 s from the farthest start and stops within 5 mm of the switch. A deceleration
+# of 1 m/s² would need the 20 mm to the end of the axis.
 SEARCH = {"speed_during_search_for_switch": 200_000, "homing_acceleration": 4_000_000}  # µm
 MOVING = 5e-3  # m/s
-FAULT_CYCLES = 200  # position cycles at most until a cause has led to FAULT
+FAULT_CYCLES = 200  # position cycles within which a cause leads to FAULT
 HOMING, PROFILE_POSITION = int(Mode.HOMING), int(Mode.PROFILE_POSITION)
 MILESTONES = 5
 # bits of the statusword
 STATE, OPERATION_ENABLED, FAULT, REACHED = 0x6F, 0x27, 0x08, 0x0400
 ATTAINED, HOMING_ERROR = 0x1000, 0x2000
-# causes injected of their own accord, as far as a model has them as faults
+# causes injected by default, as far as they are faults of a model
 CAUSES = (
     "undervoltage", "overvoltage", "motor_temperature", "drive_temperature", "short_circuit",
     "encoder_loss",
@@ -43,7 +43,7 @@ CAUSES = (
 
 @block
 def act(episode, action, rpdos):
-    """The target position; a cause that has been present long enough is taken away."""
+    """Command the target position; remove a cause that has been present long enough."""
     rpdos[0].target_position = round(0.5 * (action.target_position + 1.0) * STROKE * METRE)
     world = world_of(episode)
     axis = axes_at(world.axes, world.drives)[0]
@@ -56,7 +56,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """The milestones one after the other, each once, from what the drive itself says."""
+    """Observe the drive and reward each milestone once, in their order."""
     tpdo = tpdos[0]
     position = tpdo.position_actual_value / METRE
     velocity = tpdo.velocity_actual_value / METRE
@@ -101,8 +101,8 @@ class CommissioningEnv(ServoEnv):
     """Bring a drive that is in fault to an axis that is in position, as a PLC programmer would.
 
     The agent is the whole master. The drive has powered up with a fault, disabled and without a
-    reference. The agent has to reset the fault when its cause has gone, walk through the states to
-    operation enabled, home (method 17, on the negative limit switch), and go to the goal in
+    reference. The agent has to reset the fault when its cause is gone, walk through the states to
+    operation enabled, home (method 17, on the negative limit switch), and move to the goal in
     profile position mode with the handshake of the new set-point.
 
     ## Action space
@@ -168,13 +168,13 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus position (m)
         ("milestones", "i8"),  # reached
-        ("outage", "i8"),  # steps until a cause goes
+        ("outage", "i8"),  # steps until a cause is removed
         ("reward_fault_cleared", "f8"),
         ("reward_operation_enabled", "f8"),
         ("reward_homed", "f8"),
         ("reward_moving", "f8"),
         ("reward_in_position", "f8"),
-        ("_present", "i8"),  # steps since a cause is there
+        ("_present", "i8"),  # steps since a cause was injected
         ("_speed", "f8"),  # profile velocity (m/s)
         ("_max_torque", "f8"),  # per mille
         ("_tolerance", "f8"),  # m
@@ -218,15 +218,15 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
         machine.drives["x"].commission(SEARCH)
         return machine
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start = self.np_random.uniform(MARGIN, LONGEST_SEARCH)
         goal = self.np_random.uniform(NEAREST_GOAL, STROKE - MARGIN)
         cause = self.causes[self.np_random.integers(len(self.causes))]
         outage = float(self.np_random.integers(self.outage + 1))
-        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
-        goal = in_range("options['goal']", options.get("goal", goal), MARGIN, STROKE, "m")
+        start = options.number("start", start, 0.0, STROKE, "m")
+        goal = options.number("goal", goal, MARGIN, STROKE, "m")
         cause = options.get("cause", cause)
-        outage = in_range("options['outage']", options.get("outage", outage), 0, 1000, "steps")
+        outage = options.number("outage", outage, 0, 1000, "steps")
         if cause not in (possible := _faults(self.machine)):
             raise ValueError(f"options['cause'] = {cause!r}, choose of {', '.join(possible)}")
         episode, x = self.episode, self.drive
@@ -245,13 +245,13 @@ class of the fault: 2 current, 3 voltage, 4 temperature, 7 modules … 0 without
         episode._tolerance = self.tolerance
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The carriage at the goal."""
+        """Return the carriage at the goal."""
         away = self.episode.goal - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
 
 
 def _faults(machine: Machine) -> tuple[str, ...]:
-    """Causes that can be injected, make a fault of the drive and can be reset."""
+    """Causes that can be injected and lead to a fault that can be reset."""
     (drive,) = machine.drives.values()
     harmless = (Reaction.IGNORE, Reaction.WARNING)
     return tuple(

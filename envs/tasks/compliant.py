@@ -1,4 +1,4 @@
-"""servogym/CompliantAxis-v0: move a load on a spring to a goal without leaving it swinging."""
+"""servogym/CompliantAxis-v0: move a load on a spring to a goal without residual vibration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ..engine.checks import flag, in_range
+from ..engine.checks import Options, flag, in_range
 from ..engine.tick import FARTHEST, coordinates, load_noise, speeds
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
@@ -23,10 +23,10 @@ from .plant import of_datasheet
 from .positioning import MARGIN, RESTING, STROKE
 from .rewards import closeness, decades
 
-DEFLECTION = 5e-3  # m, of the spring, that is 1.0 for the load sensor
-RATE = 0.3  # m/s, of the deflection: that amplitude at 10 Hz
+DEFLECTION = 5e-3  # m, deflection of the spring that is 1.0 for the load sensor
+RATE = 0.3  # m/s, rate of that amplitude at 10 Hz
 GENTLE = 0.05  # J, vibration energy at which the reward for gentleness has fallen to one half
-# A load of 5 kg swings at 10 Hz on a carriage that is held. The damping ratio of 0.01 is typical of
+# On a held carriage a load of 5 kg vibrates at 10 Hz. The damping ratio of 0.01 is typical for
 # bolted steel structures (0.005..0.02, inferred).
 PARAMETERS = LinearAxisParameters(payload=5.0, stiffness=20_000.0, structural_damping=6.3)
 RANDOMISE = {"payload": (2.0, 8.0), "stiffness": (0.5, 2.0), "structural_damping": (0.5, 2.0)}
@@ -43,13 +43,13 @@ def act(episode, action, rpdos):
 
 @block
 def _finite(x):
-    """`x`, or where the physics has failed a number so large that it earns nothing."""
+    """Return `x`, or if the physics has failed a number too large for any reward."""
     return x if abs(x) < FARTHEST else FARTHEST
 
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation of the TPDOs and the load sensor; reward of where the load really is."""
+    """Observe the TPDOs and the load sensor; reward the true position of the load."""
     tpdo = tpdos[0]
     world = world_of(episode)
     qpos, qvel = coordinates(world), speeds(world)
@@ -66,7 +66,7 @@ def judge(episode, rpdos, tpdos, observation):
     observation.set_point = clip((episode._target - position) / episode._window)
     noise = load_noise(world)
     observation.deflection = clip((deflection + noise) / DEFLECTION) if episode._sensor else 0.0
-    jump = (noise - episode._noise) / episode._step_time  # of a rate that is differentiated
+    jump = (noise - episode._noise) / episode._step_time  # in a rate that is a difference
     observation.deflection_rate = clip((rate + jump) / RATE) if episode._sensor else 0.0
     episode._noise = noise
     far = STROKE / episode._tolerance
@@ -87,12 +87,12 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 class CompliantAxisEnv(ServoEnv):
-    """Bring a load that stands on a spring to a goal, and have it at rest there.
+    """Bring a load on a spring to rest at a goal.
 
-    The motor moves a carriage, the load is mounted elastically on it: a two-mass system whose
-    resonance is not known, because payload, stiffness and damping differ from episode to episode.
-    The agent is the master of a drive in cyclic synchronous position mode; before the first step
-    the drive is enabled and referenced. The drive measures the carriage only.
+    The motor moves a carriage on which the load is mounted elastically: a two-mass system with an
+    unknown resonance, because payload, stiffness and damping differ from episode to episode. The
+    agent is the master of a drive in cyclic synchronous position mode. Before the first step the
+    drive is enabled and referenced. The drive measures the carriage only.
 
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
@@ -105,7 +105,7 @@ class CompliantAxisEnv(ServoEnv):
     The target position (1 µm) moves by action × maximum velocity × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (9,), float32)`, clipped; `history` and `previous_action` let an agent recognise the
+    `Box(-1, 1, (9,), float32)`, clipped; `history` and `previous_action` let an agent identify the
     resonance
 
     | no | name | observation | object | 1.0 is |
@@ -120,29 +120,29 @@ class CompliantAxisEnv(ServoEnv):
     | 7 | deflection_rate | velocity of the deflection | load sensor | 0.3 m/s |
     | 8 | distance_logarithmic | goal minus position, logarithmic | 6064h | the stroke, 0.5 m |
 
-    The load sensor is an encoder or an integrated accelerometer on the load, wired to the master
-    and not to the drive, with the `encoder_noise` of `randomise` too; without it
+    The load sensor is an encoder or an integrated accelerometer on the load. It is wired to the
+    master and not to the drive, and also has the `encoder_noise` of `randomise`. Without it
     (``load_sensor=False``) 6 and 7 are 0.
 
     ## Reward
-    In [0, 1], of the true motion of the load: 0.4 for nearness, 0.4 for being settled: closer than
-    `tolerance` and slower than 5 mm/s, and 0.2 for nearness × gentleness,
+    In [0, 1], by the true motion of the load: 0.4 for nearness, 0.4 for being settled (closer than
+    `tolerance` and slower than 5 mm/s), and 0.2 for nearness × gentleness, where gentleness is
     ``1 / (1 + energy / 0.05 J)`` with the energy of spring and load relative to the carriage.
     Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale of
-    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
-    ``info``, with ``distance`` and ``deflection`` (m) of the load,
-    ``energy`` (J), and ``info["cost"]``, the share of the step at a limit.
+    distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). ``info`` has the
+    terms, ``distance`` and ``deflection`` (m) of the load, ``energy`` (J), and ``cost``, the share
+    of the step at an internal limit.
 
     ## Episode
-    Starts at rest at a random position, with a random goal, both from ``np_random`` unless the
-    reset's options give ``start`` and ``goal`` (m, of the load). A fault of the drive terminates
-    (``info["fault"]``: code and meaning). Time truncates, after 400 steps (2 s).
+    An episode starts at rest at a random position, with a random goal, both from ``np_random``
+    unless the reset's options give ``start`` and ``goal`` (m, of the load). A fault of the drive
+    terminates (``info["fault"]``: code and meaning). Time truncates, after 400 steps (2 s).
 
     ## Arguments
-    Those of `ServoEnv`, with payload 2..8 kg, stiffness and structural damping 0.5..2 of the
-    nominal as the default of `randomise`, and `load_sensor`, `torque_range` (0..1; 0: action 1 has
-    no effect), `tolerance` (m), `following_error_window` (m), `parameters`: `LinearAxisParameters`
-    with a stiffness; nominal are 5 kg on 20 kN/m with 6.3 N·s/m.
+    Those of `ServoEnv`, where `randomise` is payload 2..8 kg, stiffness and structural damping
+    0.5..2 of the nominal by default, and `load_sensor`, `torque_range` (0..1; 0: action 1 has no
+    effect), `tolerance` (m), `following_error_window` (m) and `parameters`, `LinearAxisParameters`
+    with a stiffness; by default 5 kg on 20 kN/m with 6.3 N·s/m.
 
     ## Version history
     * v0: first version
@@ -170,10 +170,10 @@ class CompliantAxisEnv(ServoEnv):
         ("_stiffness", "f8"),  # N/m
         ("_rest", "f8"),  # deflection by the weight on an inclined axis (m)
         ("_sensor", "?"),
-        ("_noise", "f8"),  # of the sensor of the load, a step before (m)
+        ("_noise", "f8"),  # of the sensor at the load, one step ago (m)
         ("_step_time", "f8"),  # s
         ("_target", "f8"),  # set-point (m)
-        ("_way", "f8"),  # farthest the set-point goes in a step (m)
+        ("_way", "f8"),  # largest travel of the set-point in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
         ("_window", "f8"),  # of the following error (m)
         ("_max_torque", "f8"),  # per mille
@@ -223,10 +223,10 @@ class CompliantAxisEnv(ServoEnv):
 
     _make = of_datasheet
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)
-        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
-        goal = in_range("options['goal']", options.get("goal", goal), 0.0, STROKE, "m")
+        start = options.number("start", start, 0.0, STROKE, "m")
+        goal = options.number("goal", goal, 0.0, STROKE, "m")
         self.place({"x": start})
         episode, x, model = self.episode, self.drive, self.machine.model
         load = model.joint("load")
@@ -245,16 +245,16 @@ class CompliantAxisEnv(ServoEnv):
         episode._tolerance = self.tolerance
 
     def sensor(self) -> Sensor | None:
-        """On the load, as far as there is one."""
+        """Return the sensor at the load, if there is one."""
         one = Sensor("deflection", "deflection_rate", DEFLECTION, RATE)
         return one if self.load_sensor else None
 
     def settling(self) -> dict[str, float]:
-        """The load, at the goal."""
+        """Return goal and tolerance of the load."""
         return {"goal": float(self.episode.goal), "window": self.tolerance}
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The carriage and the load at the goal."""
+        """Return the carriage and the load at the goal."""
         x, deflection = self.machine.data.qpos[self.episode._x], self.episode.deflection
         away = self.episode.goal - x - self.episode._rest
         return {
@@ -264,7 +264,7 @@ class CompliantAxisEnv(ServoEnv):
 
 
 def _possible(parameters: LinearAxisParameters) -> dict[str, tuple[float, float]]:
-    """The default ranges; without damping there is none to scale."""
+    """The default ranges; a damping of 0 cannot be scaled."""
     ranges = dict(RANDOMISE)
     if parameters.structural_damping == 0.0:
         del ranges["structural_damping"]

@@ -1,4 +1,4 @@
-"""servogym/GantryContour-v0: follow a circle or a square with X and Y, close and fast."""
+"""servogym/GantryContour-v0: follow a circle or a square with X and Y, closely and fast."""
 
 import math
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ..engine.checks import choice, in_range
+from ..engine.checks import Options, choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import coordinates
 from ..environment.servo_env import METRE, ServoEnv
@@ -24,21 +24,21 @@ CIRCLE = CONTOURS.index("circle")
 CENTRE = (0.4, 0.25)  # m, in X and Y
 CLOSE = 20e-6  # m, contour error at which the reward for closeness has fallen to one half
 SLOWEST = 0.2  # feed override
-PROGRESS = 0.8  # of the way at full feed that success asks for
-CORNER = 2e-3  # m, so near to one in X and Y counts as at the corner
-AHEAD = (1.0, 2.0, 4.0, 8.0)  # steps at full feed, where the points of the preview lie
+PROGRESS = 0.8  # share of the travel at full feed that success requires
+CORNER = 2e-3  # m, distance in X and Y that counts as at the corner
+AHEAD = (1.0, 2.0, 4.0, 8.0)  # steps at full feed to the points of the preview
 AXIS = observation("distance", "velocity", "following_error", "torque", "correction")
 
 
 @block
 def length(contour, radius):
-    """Length of one lap (m)."""
+    """Return the length of one lap (m)."""
     return 2.0 * math.pi * radius if contour == CIRCLE else 8.0 * radius
 
 
 @block
 def point(contour, radius, way, axis):
-    """Coordinate (m) from the centre, X or Y, after `way` (m) anticlockwise from the right."""
+    """Return X or Y (m) from the centre, after `way` (m) anticlockwise from the right."""
     if contour == CIRCLE:
         angle = way / radius
         return radius * (math.cos(angle) if axis == 0 else math.sin(angle))
@@ -53,7 +53,7 @@ def point(contour, radius, way, axis):
 
 @block
 def deviation(contour, radius, x, y):
-    """Perpendicular distance (m) of a place, from the centre, to the contour; outside positive."""
+    """Return the perpendicular distance (m) of a place to the contour, positive outside."""
     if contour == CIRCLE:
         return math.hypot(x, y) - radius
     over_x, over_y = abs(x) - radius, abs(y) - radius
@@ -64,7 +64,7 @@ def deviation(contour, radius, x, y):
 
 @block
 def act(episode, action, rpdos):
-    """Go on along the path as the override says; set-points there, and the corrections on top."""
+    """Advance along the path by the override; command its point plus the corrections."""
     episode._override = SLOWEST + (1.0 - SLOWEST) * 0.5 * (action.override + 1.0)
     episode._way += episode._override * episode._step
     for d in range(2):
@@ -76,7 +76,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation of path and TPDOs, reward of where the tool is."""
+    """Observe the path and the TPDOs; reward the position of the tool."""
     contour, radius = episode._contour, episode._radius
     for d in range(2):
         here = point(contour, radius, episode._way, d)
@@ -114,7 +114,7 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 def _tool(d: int) -> Channel:
-    """Position of the tool in X or Y, and the point of the path."""
+    """Return the channel of the tool in X or Y, with the point of the path."""
     name = "xy"[d]
     return Channel(
         f"tool in {name.upper()}\n(mm)",
@@ -128,11 +128,11 @@ def _tool(d: int) -> Channel:
 class GantryContourEnv(ServoEnv):
     """Follow a circle or a square with X and Y of a gantry, close to the path and fast.
 
-    A path generator runs along the contour, anticlockwise, and gives both drives their set-points,
-    in cyclic synchronous position mode; left alone they follow as well as their controllers do.
-    Before the set-points leave, the agent corrects them, and it overrides the feed: it may lead
-    where the drives lag, and slow down where it gets tight. The square has sharp corners. Z is
-    parked on its brake.
+    A path generator runs along the contour anticlockwise and gives both drives their set-points in
+    cyclic synchronous position mode; without the agent the drives follow as well as their
+    controllers can. The agent corrects the set-points before they are sent, and overrides the feed:
+    it may lead where the drives lag, and slow down in tight places. The square has sharp corners. Z
+    is parked on its brake.
 
     ## Action space
     `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more a drive: `envs.exchange.faces`
@@ -142,7 +142,7 @@ class GantryContourEnv(ServoEnv):
     | 0, 1 | correction[:] | correction of the set-point in X, Y | 607Ah | 1 is `correction` |
     | 2 | override | feed override | 607Ah target_position | -1 is 0.2, 1 is 1.0 |
 
-    The path goes on by override × `feed` × step time; the target position (1 µm) is the point of
+    The path advances by override × `feed` × step time; the target position (1 µm) is the point of
     the path plus the correction of this step.
 
     ## Observation space
@@ -164,21 +164,20 @@ steps × `feed` × step time |
     feed override. The contour error is the true perpendicular distance to the contour, positive
     outside. ``info`` has the terms, ``contour_error``, ``mean_error``, ``worst`` and
     ``worst_corner``, within 2 mm of a corner (m, so far, without sign), ``laps``, ``progress``,
-    the way as a share of that at full feed, and ``cost``, the share of the step at a limit.
-    ``is_success``: a lap is done, `progress` is 0.8 at least, and `worst` is within
-    `tolerance`: who only keeps close by going slowly has not succeeded.
+    the travel as a share of that at full feed, and ``cost``, the share of the step at an internal
+    limit. ``is_success`` means that a lap is done, `progress` is at least 0.8, and `worst` is
+    within `tolerance`, so a policy that only keeps close by moving slowly does not succeed.
 
     ## Episode
-    Starts at rest on the contour, at a place from ``np_random`` unless the reset's options give
-    ``start`` (share of a lap, 0..1). A fault of a drive terminates (``info["fault"]``). Time
-    truncates, after 600 steps (3 s).
+    An episode starts at rest on the contour, at a place from ``np_random`` unless the reset's
+    options give ``start`` (share of a lap, 0..1). A fault of a drive terminates
+    (``info["fault"]``). Time truncates, after 600 steps (3 s).
 
     ## Arguments
     Those of `ServoEnv`, and `contour` ("circle" or "square"), `radius` (m, of the circle, or half
     the side of the square), `feed` (m/s, at override 1), `correction` (m, the largest),
-    `feed_forward` (share of the drives' own feed-forward of velocity and acceleration that is in
-    force; without it they lag by speed / position gain), `tolerance` and `following_error_window`
-    (m).
+    `feed_forward` (share of the drives' own feed-forward of velocity and acceleration; without it
+    they lag by speed / position gain), `tolerance` and `following_error_window` (m).
 
     ## Version history
     * v0: first version
@@ -195,7 +194,7 @@ steps × `feed` × step time |
         ("worst", "f8"),  # the largest so far, without sign (m)
         ("mean_error", "f8"),  # so far, without sign (m)
         ("worst_corner", "f8"),  # the largest so far at a corner of the square (m)
-        ("progress", "f8"),  # way so far, as a share of that at full feed
+        ("progress", "f8"),  # travel so far, as a share of that at full feed
         ("laps", "f8"),
         ("reward_close", "f8"),
         ("reward_progress", "f8"),
@@ -203,8 +202,8 @@ steps × `feed` × step time |
         ("_radius", "f8"),  # m
         ("_steps", "f8"),  # so far
         ("_sum", "f8"),  # of the contour error without sign (m)
-        ("_begin", "f8"),  # where on the path it began (m)
-        ("_way", "f8"),  # and where it is
+        ("_begin", "f8"),  # place on the path at the start (m)
+        ("_way", "f8"),  # present place on the path (m)
         ("_step", "f8"),  # of the path at full feed (m)
         ("_override", "f8"),
         ("_range", "f8"),  # of a correction (m)
@@ -231,7 +230,7 @@ steps × `feed` × step time |
         "corner_error": Metric(
             "worst at a corner (µm)", "low", "contour error within 2 mm of a corner of the square"
         ),
-        "progress": Metric("progress", "high", "way, as a share of that at full feed"),
+        "progress": Metric("progress", "high", "travel, as a share of that at full feed"),
     }
     DONE = ("a lap within the window", "no lap within the window")
     CHANNELS = (
@@ -275,9 +274,8 @@ steps × `feed` × step time |
             )
         return machine
 
-    def _begin(self, options: dict[str, Any]) -> None:
-        start = options.get("start", self.np_random.uniform())
-        start = in_range("options['start']", start, 0.0, 1.0, "of a lap")
+    def _begin(self, options: Options) -> None:
+        start = options.number("start", self.np_random.uniform(), 0.0, 1.0, "of a lap")
         kind = CONTOURS.index(self.contour)
         way = start * length(kind, self.radius)
         self.place(
@@ -297,7 +295,7 @@ steps × `feed` × step time |
         episode._tolerance = self.tolerance
 
     def figures(self) -> dict[str, float]:
-        """Metrics of the contour; nothing settles in this task."""
+        """Return metrics of the contour; nothing settles in this task."""
         episode = self.episode
         square = self.contour == "square"
         return {
@@ -309,7 +307,7 @@ steps × `feed` × step time |
         }
 
     def path(self) -> np.ndarray:
-        """The contour, at the height of the gripper."""
+        """Return the contour, at the height of the gripper."""
         episode = self.episode
         ways = np.linspace(0.0, length(episode._contour, episode._radius), 97)
         at = [
@@ -320,7 +318,7 @@ steps × `feed` × step time |
         return np.column_stack([at, np.full(len(at), height)])
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The gripper at the point of the path."""
+        """Return the gripper at the point of the path."""
         episode, qpos = self.episode, self.machine.data.qpos
         away = [
             CENTRE[d] + point(episode._contour, episode._radius, episode._way, d) - qpos[at]

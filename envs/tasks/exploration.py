@@ -1,8 +1,8 @@
-"""How several tasks are explored while they are learned: hyper-parameters they share."""
+"""Hyper-parameters for exploration that several tasks share."""
 
 from typing import Any
 
-# An exploration that depends on the state can be bold on the way and calm at the goal (gSDE).
+# State-dependent exploration (gSDE) can be large on the way and small at the goal.
 CALM: dict[str, Any] = {
     "learning_rate": [1e-3, 0.0],
     "gamma": 0.99,

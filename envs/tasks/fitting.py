@@ -1,6 +1,6 @@
-"""Which task fits a machine that runs already, what a goal is there, and what is looked at.
+"""Tasks for machines that are already running: their goals, and the quantity that is shown.
 
-A row of `FITTING` each; for a machine of one's own, `robot` makes one.
+Each machine has a row in `FITTING`; `robot` makes one for a machine of the user.
 """
 
 import math
@@ -19,21 +19,21 @@ from ..plants.rotary_parameters import ROTARY_FAMILY
 from . import GantryContourEnv, LinearAxisEnv, RobotEnv, RotaryAxisEnv
 from .contour import CENTRE
 
-NEAR = 1e-3  # m or rad that zeros of drive and axis may be apart
+NEAR = 1e-3  # m or rad, largest distance between the zeros of drive and axis
 UNIT = {"mm": 1e-3, "°": math.pi / 180}
 
 
 class Goal(NamedTuple):
-    """What a policy is told, in the unit people give it in."""
+    """The goal of a policy, in the unit in which people enter it."""
 
     name: str
     unit: str
     low: float
     high: float
-    value: float  # at first
+    value: float  # initial value
 
     def si(self, number: float) -> float:
-        """In m or rad. Raises ValueError for one out of range."""
+        """Convert a goal to m or rad. Raises ValueError if it is out of range."""
         if not self.low <= number <= self.high:
             raise ValueError(
                 f"goal {number:g} is out of range {self.low:g}..{self.high:g} {self.unit}"
@@ -42,10 +42,10 @@ class Goal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """How a policy did."""
+    """The result of a policy."""
 
-    value: np.ndarray  # what is looked at, in the unit of `Fitting.shown`
-    settling_time: float  # s, until it stays within the tolerance; nan: it did not
+    value: np.ndarray  # the quantity shown, in the unit of `Fitting.shown`
+    settling_time: float  # s, until it stays within the tolerance; NaN: it did not
     figures: Mapping[str, str]
 
 
@@ -54,13 +54,13 @@ class Fitting:
     """A task and a machine that fit each other.
 
     Args:
-        task: whose policies take over.
-        what: they do, in words.
-        names: policies that are offered.
-        goal: what they are told.
-        shown: what is looked at, with its unit.
-        arguments: of the environment.
-        axis: whose position is looked at; the first, where none is named.
+        task: task whose policies take over.
+        what: description of these policies.
+        names: names of the policies that are offered.
+        goal: their goal.
+        shown: the quantity that is shown, with its unit.
+        arguments: arguments of the environment.
+        axis: axis whose position is shown; by default the first one.
     """
 
     task: type[ServoEnv]
@@ -72,44 +72,44 @@ class Fitting:
     axis: str = ""
 
     def position(self, machine: Machine) -> float:
-        """Position of the drive (m or rad)."""
+        """Return the position of the drive (m or rad)."""
         axis = self.axis or next(iter(machine.drives))
         unit = MachinePort(machine).units(axis).position
         return int(machine.drives[axis].axis.od.position_actual_value) * unit
 
     def toward(self, goal: float) -> "Fitting":
-        """For a goal (m or rad) that is an argument of the environment."""
+        """Return the fitting for a goal (m or rad) that is an argument of the environment."""
         return self
 
     def options(self, machine: Machine, given: dict[str, float], goal: float) -> dict[str, Any]:
-        """Options of the reset.
+        """Return the options of the reset.
 
         Args:
-            machine: as it stands.
-            given: where its drives stand, by axis (m or rad).
-            goal: m or rad.
+            machine: the machine in its present state.
+            given: positions of its drives by axis (m or rad).
+            goal: the goal (m or rad).
 
         Raises:
-            ValueError: the machine does not stand as the task needs it.
+            ValueError: the machine is not in a position from which the task can begin.
         """
         return {"goal": given | {self.axis or next(iter(given)): goal}}
 
     def beside(self, env: Any, make: Callable[[], Machine], given: dict[str, float]) -> None:
-        """Set up what an environment has beside its machine; `make` is what makes both."""
+        """Set up the data of an environment besides its machine; `make` builds both."""
 
     def begin(self, env: Any, master: Master, positions: Mapping[str, float]) -> None:
-        """Bring enabled drives where an episode has to begin; they stay where they are."""
+        """Move enabled drives to the start of an episode; by default they stay."""
 
     def looked_at(self, machine: Machine, goal: float) -> float:
-        """In the unit of `shown`, as the drives tell it."""
+        """Return the quantity shown, as the drives report it, in its unit."""
         return self.position(machine) / UNIT[self.goal.unit]
 
     def away(self, value: np.ndarray, goal: float) -> np.ndarray:
-        """Distance from the goal, in its unit."""
+        """Return the deviation from the goal, in its unit."""
         return value - goal
 
     def judged(self, times: np.ndarray, value: np.ndarray, goal: float, env: Any) -> Judged:
-        """Settling and overshoot of what was looked at."""
+        """Return settling time and overshoot of the quantity shown."""
         away, unit = self.away(value, goal), UNIT[self.goal.unit]
         window = float(getattr(env, "tolerance", NEAR)) / unit
         outside = np.flatnonzero(np.abs(away) > window)
@@ -127,13 +127,13 @@ class Fitting:
 
 class _Linear(Fitting):
     def options(self, machine: Machine, given: dict[str, float], goal: float) -> dict[str, Any]:
-        """The place on the axis, which has to be within the stroke of the task."""
+        """Return goal and start, which have to be within the stroke of the task."""
         (low, high), (name,) = (0.0, LinearAxisEnv.STROKE[0]), machine.drives
         if machine.joint(name)[1] != "m":
             raise ValueError(f"policies of {self.task.ID} command one linear axis, not {machine!r}")
         here = self.position(machine)
         if not low - 50e-6 <= here <= high + 50e-6:
-            raise ValueError(  # a policy would begin with a jump to the nearest place it knows
+            raise ValueError(  # a policy would begin with a jump into the stroke
                 f"the axis stands at {here * 1e3:.2f} mm, a policy works within "
                 f"{low * 1e3:g}..{high * 1e3:g} mm: move it there first"
             )
@@ -142,12 +142,12 @@ class _Linear(Fitting):
 
 class _Rotary(Fitting):
     def options(self, machine: Machine, given: dict[str, float], goal: float) -> dict[str, Any]:
-        """The place within the turn."""
+        """Return goal and start, within one turn."""
         period = ROTARY_FAMILY[self.arguments["mechanics"]].period
         return {"goal": goal, "start": self.position(machine) % period}
 
     def away(self, value: np.ndarray, goal: float) -> np.ndarray:
-        """The shorter way."""
+        """Return the deviation along the shorter way."""
         turn = ROTARY_FAMILY[self.arguments["mechanics"]].period / UNIT[self.goal.unit]
         away = value - goal
         return away - turn * np.round(away / turn)
@@ -155,11 +155,11 @@ class _Rotary(Fitting):
 
 class _Contour(Fitting):
     def toward(self, goal: float) -> Fitting:
-        """The goal is a radius."""
+        """Return the fitting for a radius."""
         return replace(self, arguments={**self.arguments, "radius": goal})
 
     def options(self, machine: Machine, given: dict[str, float], goal: float) -> dict[str, Any]:
-        """The beginning of the path; the zeros have to be those of the axes."""
+        """Return the start of the path; the zeros of drives and axes have to agree."""
         for name, position in given.items():
             place = float(machine.data.joint(name).qpos[0])
             if abs(place - position) > NEAR:
@@ -170,13 +170,13 @@ class _Contour(Fitting):
         return {"start": 0.0}
 
     def begin(self, env: Any, master: Master, positions: Mapping[str, float]) -> None:
-        """Where the path begins."""
+        """Move the drives to the start of the path."""
         master.move_to({name: positions[name] for name in self.task.DRIVES})
         for drive in env.drives:  # a drive without feed-forward lags by more
             drive.write("following_error_window", round(env._window * env.units))
 
     def looked_at(self, machine: Machine, goal: float) -> float:
-        """Outside of the circle (µm)."""
+        """Return the distance outside of the circle (µm)."""
         x, y = (
             replace(self, axis=name).position(machine) - middle
             for name, middle in zip(("x", "y"), CENTRE, strict=True)
@@ -184,7 +184,7 @@ class _Contour(Fitting):
         return 1e6 * (math.hypot(x, y) - goal * UNIT[self.goal.unit])
 
     def judged(self, times: np.ndarray, value: np.ndarray, goal: float, env: Any) -> Judged:
-        """The contour error."""
+        """Return mean and worst contour error."""
         figures = {
             "mean contour error": f"{np.abs(value).mean():.1f} µm",
             "worst": f"{np.abs(value).max():.1f} µm",
@@ -194,13 +194,13 @@ class _Contour(Fitting):
 
 class _Robot(Fitting):
     def beside(self, env: Any, make: Callable[[], Machine], given: dict[str, float]) -> None:
-        """Ranges and goals, which it reads from a machine of its own; where all joints stand."""
+        """Read ranges and goals from a machine of its own; set the positions of all joints."""
         make()
         env._own = dict(given)
 
 
 def robot(mjcf: str | Path, machine: Machine, axis: str) -> Fitting:
-    """Fit `RobotEnv` to a machine of the user's own, with a goal for one of its joints."""
+    """Return the fitting of `RobotEnv` and a machine of the user, with a goal for one joint."""
     slides = machine.joint(axis)[1] == "m"
     unit = "mm" if slides else "°"
     low, high = (end / UNIT[unit] for end in machine.range(axis))

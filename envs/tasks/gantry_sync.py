@@ -7,7 +7,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ..engine.checks import in_range
+from ..engine.checks import Options, in_range
 from ..engine.tick import coordinates
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
@@ -20,7 +20,7 @@ from .plant import of_datasheet
 
 STROKE = 0.8  # m, of X
 Y_STROKE = 0.5  # m
-STARTS, GOALS = (0.12, 0.18), (0.26, 0.4)  # m; the home switches lie between, at 0.2..0.23 m
+STARTS, GOALS = (0.12, 0.18), (0.26, 0.4)  # m; the home switches lie between them, at 0.2..0.23 m
 NEAR = 0.02  # m, distance at which the reward for nearness has fallen to one half
 SQUARE = 0.5e-3  # m, skew at which the reward for squareness has fallen to one half
 RESTING = 5e-3  # m/s, slower counts as settled
@@ -41,7 +41,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation of what the TPDOs brought back, reward of where the bridge is."""
+    """Observe the TPDOs; reward the position and the skew of the bridge."""
     fastest = 0.0
     for d in range(2):
         side = observation.sides[d]
@@ -93,12 +93,12 @@ def judge(episode, rpdos, tpdos, observation):
 class GantrySyncEnv(ServoEnv):
     """Bring the bridge of a gantry to a goal, square, with one drive on each of its rails.
 
-    At power-up the bridge lies skew by an unknown amount, and the absolute encoders of x1 and x2
+    At power-up the bridge is skewed by an unknown amount, and the absolute encoders of x1 and x2
     show the same position: x1 is right, x2 is wrong by the skew. Slide and payload load the sides
-    unequally. No drive sees the skew. What tells it: the home switches, which lie at the same place
-    of both rails (0.2 m), between start and goal, and the torques that hold the bridge skew. The
-    agent is the master of both drives, in cyclic synchronous position mode. Y is held by its drive,
-    Z is parked on its brake.
+    unequally. No drive measures the skew. It follows from the home switches, which lie at the same
+    position of both rails (0.2 m) between start and goal, and from the torques that hold the bridge
+    skewed. The agent is the master of both drives, in cyclic synchronous position mode. Y is held
+    by its drive, Z is parked on its brake.
 
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more a drive: `envs.exchange.faces`
@@ -125,25 +125,25 @@ class GantrySyncEnv(ServoEnv):
 position of x2 minus that of x1, each when its switch last became active | 6064h |\
  `max_twist` |
 
-    The skew is number 10 less number 12, as well as the switches have been met: a step lasts 5 ms
-    (generic drive), and the faster the bridge passes them the less is known.
+    The skew is number 10 minus number 12. Its accuracy depends on how slowly the bridge passes the
+    switches, because a step lasts 5 ms (generic drive).
 
     ## Reward
-    In [0, 1], of the truth: 0.4 for squareness, ``1 / (1 + (skew / 0.5 mm)²)``, 0.3 for nearness of
-    the middle of the bridge, ``1 / (1 + (distance / 20 mm)²)``, and 0.3 for being settled: distance
-    within `tolerance`, skew within `skew_tolerance`, both sides slower than 5 mm/s. The terms are
-    in ``info``, with ``skew`` (m, positive where x2 is ahead), and ``info["cost"]``, the share of
-    the step at an internal limit.
+    In [0, 1], by the true state: 0.4 for squareness, ``1 / (1 + (skew / 0.5 mm)²)``, 0.3 for
+    nearness of the middle of the bridge, ``1 / (1 + (distance / 20 mm)²)``, and 0.3 for being
+    settled: distance within `tolerance`, skew within `skew_tolerance`, both sides slower than 5
+    mm/s. ``info`` has the terms, ``skew`` (m, positive where x2 is ahead), and ``cost``, the share
+    of the step at an internal limit.
 
     ## Episode
-    Starts at rest; ``np_random`` draws start (of x1), goal, the place of the slide and the skew,
-    unless the reset's options give ``start``, ``goal``, ``y`` or ``skew`` (m). A skew of more than
-    `max_twist` terminates (``info["twisted"]``), as does a fault of a drive (``info["fault"]``).
-    Time truncates, after 600 steps (3 s).
+    An episode starts at rest; ``np_random`` draws start (of x1), goal, the position of the slide
+    and the skew, unless the reset's options give ``start``, ``goal``, ``y`` or ``skew`` (m). A skew
+    of more than `max_twist` terminates (``info["twisted"]``), as does a fault of a drive
+    (``info["fault"]``). Time truncates, after 600 steps (3 s).
 
     ## Arguments
-    Those of `ServoEnv`, with ``{"payload": (0.5, 6.0), "friction": (0.5, 2.0)}`` for `randomise` if
-    it is not given; `skew` (m), the largest at the start; `max_twist`, `tolerance`,
+    Those of `ServoEnv`, where `randomise` is ``{"payload": (0.5, 6.0), "friction": (0.5, 2.0)}`` by
+    default; `skew` (m), the largest at the start; `max_twist`, `tolerance`,
     `skew_tolerance`, `following_error_window` (m); `speed` (m/s).
 
     ## Version history
@@ -151,7 +151,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
     """
 
     ID = "servogym/GantrySync-v0"
-    MEMORY_ONLY = "its episodes begin with one drive of a bridge made to take its place for another"
+    MEMORY_ONLY = "its episodes begin with a wrong reference of one drive of a bridge"
     STEPS = 600
     DRIVES = ("x1", "x2")
     RPDO = ("target_position",)
@@ -164,20 +164,20 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         ("goal", "f8"),  # m
         ("distance", "f8"),  # goal minus the middle of the bridge (m)
         ("skew", "f8"),  # end of the bridge on x2 ahead of the one on x1 (m)
-        ("twisted", "?"),  # farther than it may
+        ("twisted", "?"),  # beyond the permitted skew
         ("reward_square", "f8"),
         ("reward_near", "f8"),
         ("reward_settled", "f8"),
         ("_steps", "f8"),  # so far, the reset included
         ("_squares", "f8"),  # sum of skew² (m²)
         ("_target", "f8", (2,)),  # set-points (m)
-        ("_home", "u1", (2,)),  # home switches, as they were
+        ("_home", "u1", (2,)),  # home switches one step ago
         ("_edge", "f8", (2,)),  # position at which the switch last became active (m)
-        ("_edges", "u1", (2,)),  # whether it has
+        ("_edges", "u1", (2,)),  # whether the switch has become active
         ("_skew_at", "i8"),  # places in MjData.qpos
         ("_bridge_at", "i8"),
         ("_span", "f8"),  # between the rails (m)
-        ("_way", "f8"),  # farthest a set-point goes in a step (m)
+        ("_way", "f8"),  # largest travel of a set-point in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
         ("_window", "f8"),  # of the following error (m)
         ("_max_torque", "f8"),  # per mille
@@ -229,20 +229,16 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
 
     _make = of_datasheet
 
-    def _begin(self, options: dict[str, Any]) -> None:
-        drawn = {
-            name: self.np_random.uniform(*span)
-            for name, span in (
-                ("start", STARTS), ("goal", GOALS), ("y", (0.0, Y_STROKE)),
-                ("skew", (-self.skew, self.skew)),
-            )
-        }
-        given = {name: options.get(name, value) for name, value in drawn.items()}
+    def _begin(self, options: Options) -> None:
         limit = self.max_twist
-        start = in_range("options['start']", given["start"], limit, STROKE - limit, "m")
-        goal = in_range("options['goal']", given["goal"], 0.0, STROKE, "m")
-        y = in_range("options['y']", given["y"], 0.0, Y_STROKE, "m")
-        skew = in_range("options['skew']", given["skew"], -limit, limit, "m")
+        drawn = [
+            self.np_random.uniform(*span)
+            for span in (STARTS, GOALS, (0.0, Y_STROKE), (-self.skew, self.skew))
+        ]
+        start = options.number("start", drawn[0], limit, STROKE - limit, "m")
+        goal = options.number("goal", drawn[1], 0.0, STROKE, "m")
+        y = options.number("y", drawn[2], 0.0, Y_STROKE, "m")
+        skew = options.number("skew", drawn[3], -limit, limit, "m")
         self.place({"x1": start, "x2": start + skew, "y": y}, believed={"x2": start})
         episode, model = self.episode, self.machine.model
         episode.goal = goal
@@ -259,7 +255,7 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         episode._skew_tolerance = self.skew_tolerance
 
     def figures(self) -> dict[str, float]:
-        """The skew, over the episode and at its end."""
+        """Return the skew over the episode and at its end."""
         episode = self.episode
         return {
             "rms_skew": UM * (episode._squares / episode._steps) ** 0.5,
@@ -267,10 +263,10 @@ position of x2 minus that of x1, each when its switch last became active | 6064h
         }
 
     def outcome(self) -> str:
-        """Beyond what the bridge stands."""
+        """Return whether the bridge was twisted too far."""
         return "bridge twisted" if self.episode.twisted else ""
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The bridge at the goal."""
+        """Return the bridge at the goal."""
         away = self.episode.goal - self.machine.data.joint("x").qpos[0]
         return {"bridge": np.array([away, 0.0, 0.0])}

@@ -11,7 +11,7 @@ from ...drive.kernel.words import ENABLED, Mode
 from ...drive.kernel.words import Controlword as C
 from ...drive.master.master import Master
 from ...drive.model.model import DriveModel, load
-from ..engine.checks import choice, in_range
+from ..engine.checks import Options, choice, in_range
 from ..engine.machine import Machine
 from ..engine.tick import HOME, NEGATIVE, POSITIVE
 from ..environment.servo_env import METRE, ServoEnv
@@ -27,20 +27,20 @@ from .plant import of_datasheet
 from .positioning import STROKE
 from .rewards import closeness
 
-# reference -> the built-in method that looks for the very same place, bit of its switch in 60FDh
+# reference -> the built-in method that looks for the same place, and the bit of its switch in 60FDh
 REFERENCES = {"home_switch": (23, 2), "negative_limit_switch": (17, 0), "stop": (-17, None)}
-MARGIN = 0.02  # m, starts keep away from the ends
+MARGIN = 0.02  # m, distance of starts from the ends
 HOMING = int(Mode.HOMING)
 START = int(ENABLED | C.NEW_SET_POINT)  # homing operation start
 THRESHOLD = 0.5  # of the action "reference here"
-LEAST_TORQUE = 0.05  # share of the maximum torque that the agent cannot go below
-SHORTEST = 1e-3  # m, of a way to the reference that is shared out as a reward
-SEARCH, TAKEN = 0.2, 0.8  # what the way to the reference is worth, and what taking it
-COARSE, FINE = 0.05, 20.0  # m and tolerances, way from an edge that is 1.0 in an observation
-NEAR = 0.01  # m, an error with which accuracy has fallen to nothing
+LEAST_TORQUE = 0.05  # smallest torque limit, as a share of the maximum torque
+SHORTEST = 1e-3  # m, shortest travel to the reference, for the reward of the search
+SEARCH, TAKEN = 0.2, 0.8  # rewards of the travel to the reference, and of the reference
+COARSE, FINE = 0.05, 20.0  # m and tolerances, travel from an edge that is 1.0 in an observation
+NEAR = 0.01  # m, error at which the accuracy has fallen to 0
 DURATION = 1.0  # s, at which the reward for speed has fallen to one half
-IMPACT = 0.1  # J, at which the reward for gentleness has lost half of what impacts take
-NOWHERE = (1.0, -1.0)  # of a switch that is not there
+IMPACT = 0.1  # J, at which the reward for soft impacts has fallen to one half
+NOWHERE = (1.0, -1.0)  # range of a switch that does not exist
 
 
 @block
@@ -75,9 +75,9 @@ def _worth(accuracy, speed, gentleness):
 
 @block
 def _watch_switches(episode, inputs, position):
-    """Remember the last limit switch, and the place where the reference switch last changed.
+    """Record the last limit switch, and the place where the reference switch last changed.
 
-    The place is taken in the middle of the step in which the switch changed.
+    The place is that in the middle of the step in which the switch changed.
     """
     if episode._switch >= 0:
         on = (inputs >> episode._switch & 1) != 0
@@ -92,7 +92,7 @@ def _watch_switches(episode, inputs, position):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Figures of the run so far; the reward comes with the way to the reference, and at the end."""
+    """Observe the run so far; reward travel to the reference, and the reference at the end."""
     tpdo = tpdos[0]
     velocity = tpdo.velocity_actual_value / METRE
     behind = tpdo.velocity_demand_value / METRE - velocity
@@ -138,19 +138,19 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 def _home(env: Any) -> float:
-    """The true position of the reference, or the home of the drive's running method (m)."""
+    """Return the true home of the task, or of the built-in method that is running (m)."""
     return float(env.episode._home) if env.aim is None else env.aim
 
 
 class HomingEnv(ServoEnv):
     """Find the reference of a linear axis: fast, gently and repeatably, from an unknown position.
 
-    The drive is enabled and does not know where it is. The agent moves it by velocity, in mode csv
-    or, with a drive without it, pv; it sees switches, torque and the way from where the power came
-    on, and remembers which switches it met, and where. When it stands at the reference it says so:
-    the drive then references where it stands, by homing mode and method 37 or 35, which ends the
-    episode. How a built-in method would have done from the same start on the same machine is told
-    by `built_in`.
+    The drive is enabled and does not know its position. The agent moves it by velocity, in mode
+    csv, or pv with a drive that lacks it. It observes switches, torque and the travel since
+    power-on, and also which switches it has met, and where. At the reference the agent declares
+    home: the drive then takes its present position as the reference, by homing mode and method 37
+    or 35, which ends the episode. `built_in` runs a built-in method from the same start on the same
+    machine, for comparison.
 
     ## Action space
     `Box(-1, 1, (3,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
@@ -175,20 +175,20 @@ class HomingEnv(ServoEnv):
     | 3 | velocity | velocity | 606Ch velocity_actual_value | `max_velocity` |
     | 4 | torque | torque | 6077h torque_actual_value | the commissioned 6072h |
     | 5 | velocity_error | velocity error | 606Bh velocity_demand_value - 606Ch | `max_velocity` |
-    | 6 | displacement | way since power-on | 6064h position_actual_value | the stroke, 0.5 m |
+    | 6 | displacement | travel since power-on | 6064h position_actual_value | the stroke, 0.5 m |
     | 7 | torque_limit | torque limit set, -1..1 | 6072h max_torque | the commissioned one |
     | 8 | time | time t | | t / (t + 1 s) |
     | 9 | switched | the switch of the reference has changed | 60FDh | at least once |
-    | 10 | from_edge | way since it changed last, coarse | 6064h position_actual_value | 50 mm |
+    | 10 | from_edge | travel since its last change, coarse | 6064h position_actual_value | 50 mm |
     | 11 | from_edge_fine | the same, fine | 6064h position_actual_value | 20 × `tolerance` |
     | 12 | last_limit_switch | limit switch met last | 60FDh bits 0, 1 | \
 the positive one; -1 the negative, 0 none |
 
-    The way counts from the middle of the step in which the switch changed. Without a switch of the
-    reference 9, 10 and 11 are 0.
+    The travel counts from the middle of the step in which the switch changed. Without a switch of
+    the reference 9, 10 and 11 are 0.
 
     ## Reference
-    The home of the built-in method in the table; the switch lets go 0.3 mm later than it came on.
+    The true home is that of a built-in method. A switch has a hysteresis of 0.3 mm.
 
     | ``reference`` | true home | method | switches |
     |---------------|-----------|--------|----------|
@@ -198,25 +198,25 @@ the positive one; -1 the negative, 0 none |
 
     ## Reward
     In [0, 1]: ``0.2 search + 0.8 accuracy (0.2 + 0.6 speed + 0.2 gentleness)``. `search` is the
-    part of the way from the start to the reference that this step has covered first; its sum is 1
-    as soon as the reference has been passed. The others come with the end: `accuracy` = half
-    1 / (1 + (e / tolerance)²) with the error e, half on a logarithmic scale, 1 for none to 0 for
-    10 mm; `speed` = 1 / (1 + time / 1 s), `gentleness` = half for the share of torque never used,
-    half 1 / (1 + impact energy / 0.1 J). ``info`` has
-    error (m), greatest_torque (share of the maximum, at the ends of steps), impact_energy (J) and
-    the place of power-on, start (m). ``info["cost"]`` is the share of the step at a limit.
+    share of the distance from the start to the reference that this step has covered for the first
+    time; its sum is 1 as soon as the reference has been passed. The other terms come at the end:
+    `accuracy` is one half of 1 / (1 + (e / tolerance)²) with the error e, and one half on a
+    logarithmic scale from 1 at 0 to 0 at 10 mm; `speed` is 1 / (1 + time / 1 s); `gentleness` is
+    one half of the share of the torque that was never used, and one half of
+    1 / (1 + impact energy / 0.1 J). ``info`` has error (m), greatest_torque (share of the maximum,
+    at the ends of steps), impact_energy (J), the position at power-on, start (m), and ``cost``, the
+    share of the step at an internal limit.
 
     ## Episode
-    Starts at rest at a random position; the switches lie off their places by up to
-    `switch_tolerance`. Both come from ``np_random`` unless the reset's options give ``start`` and
-    ``switch_offset`` (m). The reference taken terminates, a success within `tolerance`; so does a
-    fault (``info["fault"]``). Time truncates, after 2000 steps.
+    An episode starts at rest at a random position; the switches are displaced by up to
+    `switch_tolerance`. Both values come from ``np_random`` unless the reset's options give
+    ``start`` and ``switch_offset`` (m). The episode terminates with the reference, a success within
+    `tolerance`, or with a fault (``info["fault"]``). Time truncates, after 2000 steps.
 
     ## Arguments
-    Those of `ServoEnv`, and `reference`, `max_velocity` (m/s), `tolerance` (m),
-    `switch_tolerance` (m), `payload` (kg), `parameters`: `LinearAxisParameters` or
-    the name of a preset of `FAMILY` instead of `payload`. Friction and payload of an episode:
-    `randomise`.
+    Those of `ServoEnv`, and `reference`, `max_velocity` (m/s), `tolerance` (m), `switch_tolerance`
+    (m), `payload` (kg) and `parameters`, `LinearAxisParameters` or the name of a preset of `FAMILY`
+    instead of `payload`. `randomise` varies friction and payload of an episode.
 
     ## Version history
     * v0: first version
@@ -243,18 +243,18 @@ the positive one; -1 the negative, 0 none |
         ("reward_accuracy", "f8"),
         ("reward_speed", "f8"),
         ("reward_gentleness", "f8"),
-        ("_left", "f8"),  # to the reference, at the closest so far (m)
+        ("_left", "f8"),  # smallest distance to the reference so far (m)
         ("_time", "f8"),  # s
         ("_step_time", "f8"),  # s
-        ("_mode", "i8"),  # in which the agent moves
+        ("_mode", "i8"),  # mode in which the agent moves
         ("_max_velocity", "f8"),  # m/s
         ("_max_torque", "f8"),  # as commissioned (per mille)
         ("_power_on", "f8"),  # position actual value (m)
         ("_switch", "i8"),  # bit of 60FDh; -1: none
         ("_on", "?"),
-        ("_seen", "?"),  # whether the first three are of the first look
+        ("_seen", "?"),  # whether a first observation has been made
         ("_edged", "?"),  # whether the switch has changed
-        ("_edge", "f8"),  # position actual value of the last one (m)
+        ("_edge", "f8"),  # position actual value at its last change (m)
         ("_limit", "f8"),  # limit switch met last: -1, 1, or 0
         ("_before", "f8"),  # position actual value a step ago (m)
         ("_tolerance", "f8"),  # m
@@ -265,7 +265,7 @@ the positive one; -1 the negative, 0 none |
     BOUND = "homed"
     POLICIES = ("search", "tuned_search", "built_in", "built_in_fast", "informed_search", "bound")
     REFERENCE = "search"
-    HOLD = {"torque_limit": 1.0, "reference": -1.0}  # noqa: RUF012, all its torque, no reference
+    HOLD = {"torque_limit": 1.0, "reference": -1.0}  # noqa: RUF012, full torque, no reference
     METRIC = "settling_time"
     DONE = ("home declared", "no home declared")
     CHANNELS = (
@@ -277,7 +277,7 @@ the positive one; -1 the negative, 0 none |
         Channel("velocity\n(m/s)", velocity),
     )
     STROKE = (STROKE,)
-    # what counts comes at the end, hundreds of steps later; a search goes on for a while
+    # most of the reward comes at the end, hundreds of steps later
     HYPERPARAMETERS = {  # noqa: RUF012
         "PPO": CALM
         | {
@@ -291,7 +291,7 @@ the positive one; -1 the negative, 0 none |
     }
 
     datasheet: LinearAxisParameters
-    aim: float | None = None  # m, while a method of the drive runs that looks for another home
+    aim: float | None = None  # m, home of a built-in method while it runs
 
     def __init__(
         self, drive: str | DriveModel = "generic", *, reference: str = "home_switch",
@@ -321,14 +321,13 @@ the positive one; -1 the negative, 0 none |
         self._here = model.homes_here
         return machine
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
         offset = self.np_random.uniform(-self.switch_tolerance, self.switch_tolerance)
-        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
-        offset = options.get("switch_offset", offset)
-        offset = in_range("options['switch_offset']", offset, -0.02, 0.02, "m")
+        start = options.number("start", start, 0.0, STROKE, "m")
+        offset = options.number("switch_offset", offset, -0.02, 0.02, "m")
         if self.on_a_bus:
-            offset = 0.0  # its switches are where they are
+            offset = 0.0  # its switches cannot be moved
         coupling, x = self.machine.couplings[0], self.drive
         for ends, places in zip(
             (coupling.switch_from, coupling.switch_to), self._switches, strict=True
@@ -358,16 +357,16 @@ the positive one; -1 the negative, 0 none |
         self._part.rpdos["max_torque"] = self._max_torque
 
     def figures(self) -> dict[str, float]:
-        """The error of the home that was found, and the impacts on the stops."""
+        """Return the error of the home, and the energy of the impacts on the stops."""
         error = 1e6 * abs(self.episode.error) if self.episode.attained else math.nan
         return {"reference_error": error, "impact_energy": self.episode.impact_energy}
 
     def declared(self) -> bool:
-        """Whether home is declared, be it right or wrong."""
+        """Return whether home is declared, correctly or not."""
         return bool(self.machine.axes["homed"][0])
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The carriage at the true reference."""
+        """Return the carriage at the true reference."""
         away = self.episode._home - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
 
@@ -377,9 +376,9 @@ the positive one; -1 the negative, 0 none |
     ) -> HomingFigures:
         """Run a homing method of the drive with this episode's start, switches and loads.
 
-        `objects` are written before, such as its speeds (position units/s); `observer` is called at
-        the start and after each step, with the time since then (s). See
-        `servogym.envs.masters.homing_figures.built_in` for errors.
+        `objects` are written before, such as its speeds (position units/s). `observer` is called at
+        the start and after each step with the time since the start (s). For errors see
+        `servogym.envs.masters.homing_figures.built_in`.
         """
         if self.drive.model.search(method) is not None:
             self.aim = true_home(self.machine, method, self.episode.start)
@@ -395,7 +394,7 @@ the positive one; -1 the negative, 0 none |
         self, method: int, objects: dict[str, int] | None = None,
         observer: Callable[[float], None] | None = None,
     ) -> dict[str, float]:
-        """Return the metrics of `built_in` for an evaluation; no settling time without a home."""
+        """Return the metrics of `built_in`; without a home there is no settling time."""
         figures = self.built_in(method, objects, observer)
         found = figures.attained
         metrics = {
@@ -408,7 +407,7 @@ the positive one; -1 the negative, 0 none |
         return metrics | ({"settling_time": figures.time} if found else {})
 
     def worth(self, figures: HomingFigures) -> float:
-        """The return an agent would have got for such a run."""
+        """Return the return that an agent would have earned with such a run."""
         if not figures.attained:
             return 0.0
         return SEARCH + _worth(*_terms(

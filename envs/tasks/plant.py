@@ -1,4 +1,4 @@
-"""The machine of a task, from its data sheet."""
+"""Builds the machine of a task from its data sheet."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ PLANTS: dict[type, Any] = {
 
 
 def of_datasheet(task: ServoEnv, model: DriveModel) -> Machine:
-    """`Task._make`: the machine, commissioned, with the following error window of the task."""
+    """Build a commissioned machine with the following error window of the task, as `_make`."""
     plant = PLANTS[type(task.datasheet)]
     machine: Machine = plant(model, parameters=task.datasheet, tuned=task.tuned)
     if hasattr(task, "_window"):

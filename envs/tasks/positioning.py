@@ -8,7 +8,7 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
-from ..engine.checks import choice, in_range
+from ..engine.checks import Options, choice, in_range
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
 from ..exchange.faces import clip
@@ -19,9 +19,9 @@ from .plant import of_datasheet
 from .rewards import closeness
 
 STROKE = 0.5  # m
-MARGIN = 0.02  # m, starts and goals keep away from the ends
-FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observations
-RESTING = 5e-3  # m/s, slower counts as settled
+MARGIN = 0.02  # m, distance of starts and goals from the ends
+FINE = 20.0  # tolerances, distance that is 1.0 in the fine observation
+RESTING = 5e-3  # m/s, below which the carriage counts as settled
 
 
 @block
@@ -45,10 +45,10 @@ def act_torque(episode, action, rpdos):
 
 
 class Command(NamedTuple):
-    """What an action is, in a mode of the drive."""
+    """The meaning of an action in a mode of the drive."""
 
     mode: Mode
-    object: str  # in the RPDO
+    object: str  # commanded in the RPDO
     action: np.dtype
     act: Callable[..., None]
 
@@ -63,7 +63,7 @@ COMMANDS = {
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation and reward of what the TPDOs brought back."""
+    """Compute observation and reward from the TPDOs."""
     tpdo = tpdos[0]
     position = tpdo.position_actual_value / METRE
     velocity = tpdo.velocity_actual_value / METRE
@@ -89,12 +89,12 @@ def judge(episode, rpdos, tpdos, observation):
 class LinearAxisEnv(ServoEnv):
     """Bring the carriage of a linear axis to a goal and hold it there.
 
-    The agent is the master of a drive in cyclic synchronous position mode, or as `mode` says: each
-    step it moves the target position 607Ah in the RPDO, and sees what the TPDOs bring back. Before
-    the first step the drive is enabled and referenced. What the agent asks for is limited as a real
-    drive limits it: too steep a set-point ends in a following error, and the fault ends the
-    episode. A torque or a velocity can drive the carriage out of the stroke: behind it are software
-    limits, limit switches and the end stops.
+    The agent is the master of a drive in cyclic synchronous position mode, or in another `mode`. In
+    each step it moves the target position 607Ah in the RPDO and observes the TPDOs. Before the
+    first step the drive is enabled and referenced. The drive limits its commands as a real drive
+    does: too steep a set-point leads to a following error, and the fault ends the episode. With
+    torque or velocity the carriage can leave the stroke, beyond which are software limits, limit
+    switches and the end stops.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
@@ -121,14 +121,14 @@ class LinearAxisEnv(ServoEnv):
     | 6 | distance_fine | goal minus position, fine | 6064h | 20 × `tolerance` |
 
     ## Reward
-    In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
-    5 mm/s. Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale
-    of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). The terms are in
-    ``info``, and ``info["cost"]``, the share of the step at a limit.
+    In [0, 1]: half for nearness, half for being settled (closer than `tolerance` and slower than
+    5 mm/s). Nearness is 1 at rest at the goal and 0 a stroke away from it, on a logarithmic scale
+    of distance / `tolerance` + velocity / 5 mm/s (`servogym.envs.tasks.rewards`). ``info`` has the
+    terms and ``cost``, the share of the step at an internal limit.
 
     ## Episode
-    Starts at rest at a random position, with a random goal, both from ``np_random`` unless the
-    reset's options give ``start`` and ``goal`` (m). A fault of the drive terminates
+    An episode starts at rest at a random position, with a random goal, both from ``np_random``
+    unless the reset's options give ``start`` and ``goal`` (m). A fault of the drive terminates
     (``info["fault"]``: code and meaning). Time truncates, after 200 steps (1 s).
 
     ## Arguments
@@ -153,7 +153,7 @@ class LinearAxisEnv(ServoEnv):
         ("reward_settled", "f8"),
         ("_csp", "?"),  # there is a set-point
         ("_target", "f8"),  # set-point (m)
-        ("_way", "f8"),  # farthest the set-point goes in a step (m)
+        ("_way", "f8"),  # largest travel of the set-point in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
         ("_window", "f8"),  # of the following error (m)
         ("_max_torque", "f8"),  # per mille
@@ -171,7 +171,7 @@ class LinearAxisEnv(ServoEnv):
     METRIC = "settling_time"
     CHANNELS = linear_axis_channels("carriage")
     STROKE = (STROKE,)
-    # at rest within the tolerance there is no room for noise
+    # within the tolerance there is no room for exploration noise
     HYPERPARAMETERS = {  # noqa: RUF012
         "PPO": {
             "learning_rate": 5e-4,
@@ -198,10 +198,10 @@ class LinearAxisEnv(ServoEnv):
 
     _make = of_datasheet
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start, goal = self.np_random.uniform(MARGIN, STROKE - MARGIN, 2)
-        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
-        goal = in_range("options['goal']", options.get("goal", goal), 0.0, STROKE, "m")
+        start = options.number("start", start, 0.0, STROKE, "m")
+        goal = options.number("goal", goal, 0.0, STROKE, "m")
         self.place({"x": start})
         episode, x = self.episode, self.drive
         episode.goal = goal
@@ -212,10 +212,10 @@ class LinearAxisEnv(ServoEnv):
         episode._tolerance = self.tolerance
 
     def settling(self) -> dict[str, float]:
-        """The carriage, at the goal."""
+        """Return goal and tolerance of the carriage."""
         return {"goal": float(self.episode.goal), "window": self.tolerance}
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The carriage at the goal."""
+        """Return the carriage at the goal."""
         away = self.episode.goal - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}

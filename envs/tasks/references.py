@@ -2,15 +2,15 @@
 
 | name | what it is |
 |------|------------|
-| step | a small jump of the position: 2 mm, and half the way of one sample at most |
-| s_curve | one jerk-limited move to a random place |
+| step | a small jump of the position, at most 2 mm and half the travel of one sample |
+| s_curve | one jerk-limited move to a random position |
 | sine | whole periods of a sine |
 | sweep | a sine whose frequency rises |
-| pick_and_place | there and back between two places, with a rest at each |
-| way_points | through random places, or given ones, with a short rest at each |
+| pick_and_place | back and forth between two positions, with a rest at each |
+| way_points | through random or given positions, with a short rest at each |
 
-All begin and end at rest and stay within `Limits`; moves are time-optimal (ruckig). What is random
-comes from the generator given.
+All begin and end at rest and stay within `Limits`; moves are time-optimal (ruckig). All random
+numbers come from the given generator.
 """
 
 import math
@@ -22,21 +22,21 @@ import numpy as np
 import ruckig
 
 FREQUENCIES = (0.5, 8.0)  # Hz, of sine and sweep
-SAMPLES_PER_PERIOD = 20  # at least
-SHARES = (0.4, 1.0)  # of the limits of motion that a trajectory uses
+SAMPLES_PER_PERIOD = 20  # smallest number
+SHARES = (0.4, 1.0)  # range of the share of the limits of motion that is used
 HIGHEST_STEP = 2e-3  # m
 HANDLING = 0.1  # s, rest at each end of pick and place
 PAUSE = 0.02  # s, rest at each way-point
 
 
 class Limits(NamedTuple):
-    """Within which a reference stays."""
+    """Limits of a reference."""
 
     low: float  # m
     high: float  # m
     velocity: float  # m/s
     acceleration: float  # m/s²
-    jerk: float  # m/s³, of moves from place to place
+    jerk: float  # m/s³, of moves between positions
 
 
 class Reference(NamedTuple):
@@ -51,7 +51,7 @@ Maker = Callable[[np.random.Generator, Limits, float, np.ndarray], Reference]
 
 
 def _leg(start: float, goal: float, limits: Limits) -> ruckig.Trajectory:
-    """The move from rest to rest."""
+    """Plan a move from rest to rest."""
     wanted, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     wanted.current_position, wanted.target_position = [start], [goal]
     wanted.max_velocity = [limits.velocity]
@@ -64,9 +64,10 @@ def _leg(start: float, goal: float, limits: Limits) -> ruckig.Trajectory:
 def visit(
     goals: Iterator[float], pause: float, start: float, limits: Limits, times: np.ndarray
 ) -> Reference:
-    """Travel from goal to goal, each after a `pause` (s), as far as `times` (s) allow.
+    """Travel from goal to goal with a `pause` (s) before each, as far as `times` (s) allow.
 
-    The first goal is drawn nearer until it is reached in time; a pause is a tenth of it at most.
+    The first goal is moved closer until it is reached in time; a pause lasts at most a tenth of the
+    time.
     """
     pause = min(pause, 0.1 * times[-1])
     reference = Reference(np.full(len(times), start), np.zeros(len(times)), np.zeros(len(times)))
@@ -89,7 +90,7 @@ def visit(
 
 
 def _shared(generator: np.random.Generator, limits: Limits) -> Limits:
-    """Limits of which a random share is used."""
+    """Reduce limits to a random share."""
     velocity, acceleration = generator.uniform(*SHARES, 2)
     return limits._replace(
         velocity=velocity * limits.velocity, acceleration=acceleration * limits.acceleration
@@ -113,7 +114,7 @@ def _s_curve(generator, limits, start, times):
 
 
 def _oscillate(generator, limits, start, times, first, last):
-    """``1 - cos`` of a phase whose frequency goes from `first` to `last` (Hz), whole periods."""
+    """Whole periods of ``1 - cos`` with a frequency from `first` to `last` (Hz)."""
     duration = times[-1]
     rate = 2 * math.pi * (last - first) / duration  # of the angular frequency, rad/s²
     highest = 2 * math.pi * last
@@ -125,7 +126,7 @@ def _oscillate(generator, limits, start, times, first, last):
     phase = 2 * math.pi * first * times + rate * times**2 / 2
     omega = 2 * math.pi * first + rate * times
     moving = phase < 2 * math.pi * math.floor(phase[-1] / (2 * math.pi) + 1e-9)
-    # those of NumPy differ in the last bit from processor to processor
+    # the functions of NumPy differ in the last bit between processors
     sine, cosine = (np.array([*map(of, phase.tolist())]) for of in (math.sin, math.cos))
     return Reference(
         start + amplitude * (1.0 - cosine) * moving, amplitude * omega * sine * moving,
@@ -134,7 +135,7 @@ def _oscillate(generator, limits, start, times, first, last):
 
 
 def _frequencies(generator, times):
-    """Two for which a period fits into `times` and has enough samples (Hz), the lower first."""
+    """Draw two frequencies (Hz), the lower first, whose periods fit and have enough samples."""
     finest = 1 / (SAMPLES_PER_PERIOD * (times[1] - times[0]))
     low, high = (max(min(f, finest), 1 / times[-1]) for f in FREQUENCIES)
     return sorted(map(math.exp, generator.uniform(math.log(low), math.log(high), 2)))
@@ -175,15 +176,15 @@ def make_reference(
     name: str, generator: np.random.Generator, limits: Limits, start: float, times: np.ndarray,
     way_points: Sequence[float] | None = None,
 ) -> Reference:
-    """A random trajectory of the kind `name`, or one through given `way_points` (m).
+    """Return a random trajectory of the kind `name`, or one through given `way_points` (m).
 
     Args:
-        name: of `REFERENCES`.
-        generator: what is random comes from it.
-        limits: of position and motion.
-        start: where it begins (m).
-        times: of the samples, evenly from 0 on (s), shape ``(n,)``.
-        way_points: visited in their order as far as time allows, at the limits of motion.
+        name: key of `REFERENCES`.
+        generator: source of all random numbers.
+        limits: limits of position and motion.
+        start: start position (m).
+        times: times of the samples, evenly spaced from 0 on (s), shape ``(n,)``.
+        way_points: positions visited in this order at the limits of motion, as far as time allows.
     """
     if way_points is not None:
         return visit(iter(way_points), PAUSE, start, limits, times)

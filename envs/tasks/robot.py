@@ -11,7 +11,7 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
 from ...drive.model.names import hint, named
-from ..engine.checks import in_range
+from ..engine.checks import Options, in_range
 from ..engine.machine import Machine
 from ..engine.mjcf import JOINT_TYPES
 from ..engine.mjcf_reading import read
@@ -28,15 +28,15 @@ from . import chain
 from .rewards import closeness, decades
 
 MOST = 32  # drives
-FAR = 1000.0  # tolerances, distance that earns nothing
-TRIES = 50  # goals drawn until one is not in the way of the robot itself
+FAR = 1000.0  # tolerances, distance without a reward
+TRIES = 50  # goals that are drawn at most to find one without contacts
 ARM = Path(__file__).parents[1].with_name("assets") / "mjcf/arm.xml"
 AXIS = observation("distance", "distance_fine", "position", "velocity", "following_error", "torque")
 
 
 @block
 def act(episode, action, rpdos):
-    """Move each set-point at action × profile velocity, reached at the profile acceleration."""
+    """Move each set-point at action × profile velocity, with the profile acceleration."""
     for d in range(len(rpdos)):
         ramp = episode._ramp[d]
         wanted = action.velocity[d] * episode._way[d]
@@ -48,7 +48,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation of the TPDOs, reward of the joints that have a goal, or of the site."""
+    """Observe the TPDOs; reward the joints that have a goal, or the site."""
     farthest = fastest = 0.0
     for d in range(len(rpdos)):
         tpdo, axis = tpdos[d], observation.axes[d]
@@ -89,9 +89,9 @@ def judge(episode, rpdos, tpdos, observation):
 class RobotEnv(ServoEnv):
     """Bring the joints of a robot, or a site on it, to a goal and hold it there.
 
-    The robot is any MJCF; its joints get drives as `Machine.from_mjcf` and `commission_joint` give
-    them. The agent moves the target positions in cyclic synchronous position mode. Before the first
-    step the drives are enabled, and referenced where the robot stands.
+    The robot is any MJCF; `Machine.from_mjcf` and `commission_joint` put drives on its joints. The
+    agent moves the target positions in cyclic synchronous position mode. Before the first step the
+    drives are enabled, and referenced at the present pose of the robot.
 
     ## Action space
     `Box(-1, 1, (n,), float32)` for n drives; with ``action="pdo"`` ten more for each
@@ -116,26 +116,26 @@ class RobotEnv(ServoEnv):
     0 without a site; 1.0 is `reach`, or 1000 `tolerance` on a logarithmic scale.
 
     ## Reward
-    In [0, 1]: half for nearness, half for being settled: closer than `tolerance`, and no joint
-    faster than `resting`. Distance is that of the joint farthest from its goal (rad or m), or of
-    the site (m). ``info`` has the terms, `distance`, `x`, `y`, `z` (m) of the site,
+    In [0, 1]: half for nearness, half for being settled (closer than `tolerance`, and no joint
+    faster than `resting`). The distance is that of the joint farthest from its goal (rad or m), or
+    that of the site (m). ``info`` has the terms, `distance`, `x`, `y`, `z` (m) of the site,
     ``is_success`` and ``info["cost"]``, the share of the step at an internal limit.
 
     ## Episode
-    Starts at rest in the first keyframe of the MJCF, or at its zero. Goals are poses drawn within
-    `span` of it, in which the robot does not touch itself or what stands around more than it did at
-    first; the goal of a site is where such a pose has it. The reset's options may give ``start``
+    An episode starts at rest in the first keyframe of the MJCF, or at its zero. Goals are poses
+    drawn within `span` of it, in which the robot has no contacts beyond those at the start; the
+    goal of a site is its position in such a pose. The reset's options may give ``start``
     and ``goal``: rad or m by joint, ``goal`` with a site its place (m, three numbers). A fault of a
     drive terminates. Time truncates, after 400 steps (2 s).
 
     ## Arguments
-    Those of `ServoEnv`, and `mjcf` (path or text; an arm of three joints if not given), `drives`
-    (names of joints or actuators, or a drive model for each by name; if not given all that have an
-    actuator, else all hinges and slides), `gears` and `folder` of `Machine.from_mjcf`, `goals`
-    (names of the drives that have goals, all if not given), `site` (its name; then the goal is a
-    place), `span` (share of the range from the start; rad or m of an unlimited joint), `tolerance`
-    and `reach` (rad or m), `resting` (rad/s or m/s), `max_velocity`, `max_acceleration` of
-    `commission_joint`, for all.
+    Those of `ServoEnv`, and `mjcf` (path or text; by default an arm with three joints), `drives`
+    (names of joints or actuators, or a drive model for each by name; by default all joints with an
+    actuator, otherwise all hinges and slides), `gears` and `folder` of `Machine.from_mjcf`, `goals`
+    (names of the drives that have goals, by default all), `site` (its name; the goal is then a
+    position), `span` (share of the range around the start; rad or m for an unlimited joint),
+    `tolerance` and `reach` (rad or m), `resting` (rad/s or m/s), and `max_velocity` and
+    `max_acceleration` of `commission_joint`, for all joints.
 
     ## Version history
     * v0: first version
@@ -225,12 +225,12 @@ class RobotEnv(ServoEnv):
             ("axes", (len(names),), AXIS), ("site", (3,)), ("site_fine", (3,))
         )
         if site is not None:
-            self.POLICIES, self.REFERENCE = (), ""  # they know joints
+            self.POLICIES, self.REFERENCE = (), ""  # which command joints
         super().__init__(drive, **arguments)
         self.datasheet = Joints(tuple(self._half(i) for i in range(len(names))))
 
     def _half(self, i: int) -> float:
-        """Half the range of the i-th drive."""
+        """Return half the range of the i-th drive."""
         low, high = (self.drives[i].read(f"{end}_position_limit") / METRE for end in ("min", "max"))
         return math.pi if low >= high else 0.5 * (high - low)
 
@@ -258,11 +258,11 @@ class RobotEnv(ServoEnv):
 
     @staticmethod
     def _within(machine: Machine, name: str, position: float) -> float:
-        """A coordinate of a drive within the range of its joint."""
+        """Limit a coordinate of a drive to the range of its joint."""
         low, high = machine.range(name)
         return min(max(position, low), high)
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start = self._own | self._given("start", options.get("start"))
         self.place(start)
         if self.face != "pdo":
@@ -295,13 +295,13 @@ class RobotEnv(ServoEnv):
         episode._resting = self.resting
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The site, where it is to be."""
+        """Return the site at its goal."""
         if self.site is None:
             return {}
         return {self.site: self.episode._place_goal - self.machine.data.site(self.site).xpos}
 
     def goal_pose(self) -> np.ndarray | None:
-        """The robot with all joints at their goals; a site may be there in many poses."""
+        """Return the pose with all joints at their goals; a site has no unique pose."""
         if self.site is not None:
             return None
         pose = self.machine.data.qpos.copy()
@@ -313,7 +313,7 @@ class RobotEnv(ServoEnv):
         return pose
 
     def _given(self, option: str, places: Any) -> dict[str, float]:
-        """Places by drive, each in the range of its joint."""
+        """Check an option with positions by drive, each in the range of its joint."""
         given = named(f"options[{option!r}]", places, '{"joint": 0.3}')
         names = [*self.machine.drives]
         for name, place in given.items():
@@ -325,7 +325,7 @@ class RobotEnv(ServoEnv):
         return given
 
     def _goal(self, start: Mapping[str, float], given: Any) -> tuple[dict[str, float], np.ndarray]:
-        """The goal of each drive, and that of the site (m)."""
+        """Return the goal of each drive, and that of the site (m)."""
         if self.site is not None and given is not None:
             place = np.array(given, float) if np.shape(given) == (3,) else np.full(3, np.nan)
             if not np.isfinite(place).all():
@@ -350,7 +350,7 @@ class RobotEnv(ServoEnv):
         return goal, place
 
     def _touching(self, pose: Mapping[str, float]) -> set[str]:
-        """What is in the way of the driven joints in a pose."""
+        """Return the contacts of the driven joints in a pose."""
         model, data = self.machine.model, self._scratch
         data.qpos[:] = self.machine.data.qpos
         for i, name in enumerate(self.machine.drives):
@@ -361,7 +361,7 @@ class RobotEnv(ServoEnv):
 
 
 def _drivable(spec: mujoco.MjSpec) -> list[str]:
-    """Joints that have an actuator; without any, all hinges and slides with a name."""
+    """Return the joints with an actuator, otherwise all hinges and slides with a name."""
     joints = [joint.name for joint in spec.joints if joint.type in JOINT_TYPES and joint.name]
     acting = [actuator.target for actuator in spec.actuators]
     return [name for name in joints if acting.count(name) == 1] or joints

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ..engine.checks import in_range
+from ..engine.checks import Options, in_range
 from ..engine.machine import Machine
 from ..environment.servo_env import ServoEnv
 from ..exchange.batch import episode
@@ -18,14 +18,14 @@ from ..view.channels import Channel
 from .plant import of_datasheet
 from .rewards import closeness
 
-FINE = 20.0  # tolerances, distance that is 1.0 in the fine one of the observations
-RESTING = 0.02  # rad/s, slower counts as settled
-MARK = 0.19  # m, radius on which the mark of the table runs
+FINE = 20.0  # tolerances, distance that is 1.0 in the fine observation
+RESTING = 0.02  # rad/s, below which the axis counts as settled
+MARK = 0.19  # m, radius of the mark on the table
 
 
 @block
 def nearest(way, period):
-    """Return the shortest of the ways that end at the same place."""
+    """Return the shortest travel that ends at the same place."""
     return way - period * math.floor(way / period + 0.5)
 
 
@@ -72,12 +72,12 @@ def _degrees(env: Any) -> float:
 class RotaryAxisEnv(ServoEnv):
     """Turn an axis without ends to a goal, the shorter way round, and hold it there.
 
-    A rotary table or the roller of a conveyor: the position repeats after a turn of the table or a
-    pitch of the conveyor, as 607Bh says, and so does what the agent commands and sees. Angles are
-    those of the table or roller in rad; the drive counts 0.001 degree of a table, 1 µm of a belt.
-    The agent is the master of a drive in cyclic synchronous position mode; before the first step
-    the drive is enabled and referenced. Too steep a set-point ends in a following error, and the
-    fault ends the episode.
+    The axis is a rotary table or the roller of a conveyor. Its position repeats after a turn of the
+    table or a pitch of the conveyor (607Bh), and so do commands and observations. Angles are those
+    of the table or roller in rad; the drive counts 0.001 degree of a table, 1 µm of a belt. The
+    agent is the master of a drive in cyclic synchronous position mode. Before the first step the
+    drive is enabled and referenced. Too steep a set-point leads to a following error, and the fault
+    ends the episode.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
@@ -86,7 +86,7 @@ class RotaryAxisEnv(ServoEnv):
     |----|------|--------|--------|---------|
     | 0 | velocity | velocity of the set-point | 607Ah | 1 is the maximum velocity 607Fh |
 
-    The target position moves by action × maximum velocity × step time, over the end of 607Bh too.
+    The target position moves by action × maximum velocity × step time and wraps at 607Bh.
 
     ## Observation space
     `Box(-1, 1, (8,), float32)`, clipped
@@ -94,8 +94,8 @@ class RotaryAxisEnv(ServoEnv):
     | no | name | observation | object | 1.0 is |
     |----|------|-------------|--------|--------|
     | 0 | distance | goal minus position, the shorter way | 6064h position_actual_value | half the range 607Bh |
-    | 1 | cosine | of the position, a range 607Bh being a turn | 6064h | 1 |
-    | 2 | sine | of the same | 6064h | 1 |
+    | 1 | cosine | cosine of the position, a range 607Bh being a turn | 6064h | 1 |
+    | 2 | sine | sine of the position | 6064h | 1 |
     | 3 | velocity | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
     | 4 | following_error | following error | 60F4h | its window 6065h |
     | 5 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
@@ -103,15 +103,15 @@ class RotaryAxisEnv(ServoEnv):
     | 7 | distance_fine | goal minus position, fine | 6064h | 20 × `tolerance` |
 
     ## Reward
-    In [0, 1]: half for nearness, half for being settled: closer than `tolerance` and slower than
-    0.02 rad/s. Nearness is 1 at rest at the goal and 0 a range away from it, on a logarithmic scale
-    of distance / `tolerance` + velocity / 0.02 rad/s (`servogym.envs.tasks.rewards`). The terms are
-    in ``info``, and ``info["cost"]``, the share of the step at a limit.
+    In [0, 1]: half for nearness, half for being settled (closer than `tolerance` and slower than
+    0.02 rad/s). Nearness is 1 at rest at the goal and 0 a range away from it, on a logarithmic
+    scale of distance / `tolerance` + velocity / 0.02 rad/s (`servogym.envs.tasks.rewards`).
+    ``info`` has the terms and ``cost``, the share of the step at an internal limit.
 
     ## Episode
-    Starts at rest at a random angle, with a random goal, both from ``np_random`` unless the reset's
-    options give ``start`` and ``goal`` (rad, within the range). A fault of the drive terminates
-    (``info["fault"]``: code and meaning). Time truncates, after 400 steps (2 s).
+    An episode starts at rest at a random angle, with a random goal, both from ``np_random`` unless
+    the reset's options give ``start`` and ``goal`` (rad, within the range). A fault of the drive
+    terminates (``info["fault"]``: code and meaning). Time truncates, after 400 steps (2 s).
 
     ## Arguments
     Those of `ServoEnv`, and `mechanics` ("rotary_table" or "conveyor"), `tolerance` (rad),
@@ -135,13 +135,13 @@ class RotaryAxisEnv(ServoEnv):
         ("distance", "f8"),  # goal minus position, the shorter way (rad)
         ("reward_near", "f8"),
         ("reward_settled", "f8"),
-        ("_target", "f8"),  # set-point, counted on over the turns (rad)
-        ("_way", "f8"),  # farthest the set-point goes in a step (rad)
+        ("_target", "f8"),  # set-point, without wrapping (rad)
+        ("_way", "f8"),  # largest travel of the set-point in a step (rad)
         ("_speed", "f8"),  # maximum profile velocity (rad/s)
         ("_window", "f8"),  # of the following error (rad)
         ("_max_torque", "f8"),  # per mille
         ("_tolerance", "f8"),  # rad
-        ("_period", "f8"),  # after which places repeat (rad)
+        ("_period", "f8"),  # after which positions repeat (rad)
         ("_units", "f8"),  # position units per rad
         ("_range", "i8"),  # position units of 607Bh
     )
@@ -185,11 +185,11 @@ class RotaryAxisEnv(ServoEnv):
             raise ValueError(f"drive {model.name!r} has no object 607Bh, which this task needs")
         return of_datasheet(self, model)
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         period = self.datasheet.period
         start, goal = self.np_random.uniform(0.0, period, 2)
-        start = in_range("options['start']", options.get("start", start), 0.0, period, "rad")
-        goal = in_range("options['goal']", options.get("goal", goal), 0.0, period, "rad")
+        start = options.number("start", start, 0.0, period, "rad")
+        goal = options.number("goal", goal, 0.0, period, "rad")
         self.place({"x": start})
         episode = self.episode
         episode.goal, episode._period, episode._units = goal, period, self.units
@@ -200,7 +200,7 @@ class RotaryAxisEnv(ServoEnv):
         episode._tolerance = self.tolerance
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The mark of the table at the goal."""
+        """Return the mark of the table at the goal."""
         angle = float(self.machine.data.qpos.sum())
         goal = angle + float(self.episode.distance)
         way = np.array([math.cos(goal) - math.cos(angle), math.sin(goal) - math.sin(angle), 0.0])

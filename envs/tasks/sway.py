@@ -1,4 +1,4 @@
-"""servogym/GantrySway-v0: bring a load that hangs from a gantry to a goal, and to rest there."""
+"""servogym/GantrySway-v0: bring a load that hangs from a gantry to rest at a goal."""
 
 import math
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ import numpy as np
 
 from ...drive.kernel.jit import block
 from ...drive.model.model import DriveModel
-from ..engine.checks import flag, in_range
+from ..engine.checks import Options, flag, in_range
 from ..engine.tick import coordinates, load_noise, speeds
 from ..environment.servo_env import METRE, ServoEnv
 from ..exchange.batch import episode
@@ -21,15 +21,15 @@ from .plant import of_datasheet
 from .rewards import closeness, decades
 
 STROKE = (0.8, 0.5)  # m, of X and Y
-MARGIN = 0.05  # m, starts and goals keep away from the ends
-CABLE = 0.3  # m, what it is built with
+MARGIN = 0.05  # m, distance of starts and goals from the ends
+CABLE = 0.3  # m, nominal length
 CALM = math.radians(2.0)  # sway at which the reward for calm has fallen to one half
 WIDEST = math.radians(20.0)  # sway that is 1.0 in an observation
 AXES = ("x", "y")
-SEEN = ("distance", "position", "velocity", "following_error", "torque", "set_point")
+MEASURED = ("distance", "position", "velocity", "following_error", "torque", "set_point")
 LAST = "distance_logarithmic"
-BLIND_AXIS = observation(*SEEN, LAST)  # observations an axis
-AXIS = observation(*SEEN, "sway", "sway_rate", LAST)
+BLIND_AXIS = observation(*MEASURED, LAST)  # observations of an axis
+AXIS = observation(*MEASURED, "sway", "sway_rate", LAST)
 RANDOMISED = {"payload": (1.0, 5.0), "cable_length": (0.2, 0.4)}
 
 
@@ -45,7 +45,7 @@ def act(episode, action, rpdos):
 
 @block
 def _see(episode, tpdo, axis, d):
-    """What the drive of an axis tells."""
+    """Observe the TPDO of an axis."""
     position = tpdo.position_actual_value / METRE
     axis.distance = clip((episode._goal[d] - position) / STROKE[d])
     axis.position = clip(2.0 * position / STROKE[d] - 1.0)
@@ -59,7 +59,7 @@ def _see(episode, tpdo, axis, d):
 
 @block
 def _judge(episode, tpdos):
-    """Reward of where the load is."""
+    """Reward the true position of the load."""
     world = world_of(episode)
     qpos, qvel = coordinates(world), speeds(world)
     distance = speed = sway = 0.0  # their squares, summed over the axes
@@ -93,7 +93,7 @@ def _judge(episode, tpdos):
 
 @block
 def judge_blind(episode, rpdos, tpdos, observation):
-    """Observation of the TPDOs alone; reward."""
+    """Observe the TPDOs alone; reward the load."""
     for d in range(len(rpdos)):
         _see(episode, tpdos[d], observation.axes[d], d)
     _judge(episode, tpdos)
@@ -101,7 +101,7 @@ def judge_blind(episode, rpdos, tpdos, observation):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation of the TPDOs and of the sway; reward."""
+    """Observe the TPDOs and the sway; reward the load."""
     world = world_of(episode)
     qpos, qvel = coordinates(world), speeds(world)
     for d in range(len(rpdos)):
@@ -109,21 +109,21 @@ def judge(episode, rpdos, tpdos, observation):
         _see(episode, tpdos[d], axis, d)
         noise = load_noise(world) / episode._length
         axis.sway = clip((qpos[episode._sway_at[d]] + noise) / WIDEST)
-        jump = (noise - episode._noise[d]) / episode._step_time  # of a rate, differentiated
+        jump = (noise - episode._noise[d]) / episode._step_time  # in a rate that is a difference
         axis.sway_rate = clip((qvel[episode._sway_at[d]] + jump) / (WIDEST * episode._natural))
         episode._noise[d] = noise
     _judge(episode, tpdos)
 
 
 def _hanging(env: Any, axis: str) -> tuple[float, float]:
-    """Position (m) and velocity (m/s) of the load along an axis."""
+    """Return position (m) and velocity (m/s) of the load along an axis."""
     (bridge, velocity), (angle, rate) = joint(env, axis), joint(env, f"sway_{axis}")
     length = env.episode._length
     return bridge + length * math.sin(angle), velocity + length * math.cos(angle) * rate
 
 
 def _channels(d: int) -> tuple[Channel, ...]:
-    """What a picture shows of the load along an axis."""
+    """Return the channels of the load along an axis."""
     axis, of = "xy"[d], f" {'XY'[d]}"
     return (
         Channel(
@@ -141,16 +141,16 @@ def _channels(d: int) -> tuple[Channel, ...]:
 
 
 class GantrySwayEnv(ServoEnv):
-    """Bring a load that hangs from a gantry on a cable to a goal, and to rest there.
+    """Bring a load that hangs from a gantry on a cable to rest at a goal.
 
-    The agent is the master of X, and with ``axes="xy"`` of Y too, in cyclic synchronous position
-    mode. The load swings with a period of about ``2 π sqrt(length / g)``, 1.1 s for the 0.3 m of
-    the nominal cable, and hardly damped; how long the cable is and how heavy the load is not known.
-    A camera or a gyroscope at the hook tells of the sway; without it the torques do, by little, and
-    `history` helps. Z, and Y if it is not used, do not move.
+    The agent is the master of X, with ``axes="xy"`` also of Y, in cyclic synchronous position mode.
+    The load swings almost undamped with a period of about ``2 π sqrt(length / g)``, 1.1 s for the
+    nominal cable of 0.3 m. Length of the cable and mass of the load are unknown. A camera or a
+    gyroscope at the hook measures the sway. Without it only the torques contain a trace of the
+    sway, and `history` helps. Z, and Y if it is not used, do not move.
 
     ## Action space
-    `Box(-1, 1, (1,), float32)`, with ``axes="xy"`` 2; with ``action="pdo"`` ten more an axis, see
+    `Box(-1, 1, (1,), float32)`, 2 with ``axes="xy"``; with ``action="pdo"`` ten more per axis, see
     `servogym.envs.exchange.faces`
 
     | no | name | action | object | scaling |
@@ -160,8 +160,8 @@ class GantrySwayEnv(ServoEnv):
     A target position (1 µm) moves by action × `speed` × step time, within the stroke.
 
     ## Observation space
-    `Box(-1, 1, (9,), float32)`, clipped; 7, without 6 and 7, with ``sway_sensor=False``; with
-    ``axes="xy"`` the same of Y follows
+    `Box(-1, 1, (9,), float32)`, clipped; with ``sway_sensor=False`` 7, without numbers 6 and 7;
+    with ``axes="xy"`` the same numbers of Y follow
 
     | no | name | observation | object | 1.0 is |
     |----|------|-------------|--------|--------|
@@ -176,22 +176,22 @@ class GantrySwayEnv(ServoEnv):
     | 8 | axes[:].distance_logarithmic | goal minus position, logarithmic | 6064h | the stroke |
 
     ## Reward
-    In [0, 1], of the load, not of the axes: 0.4 for nearness, 0.1 for calm,
-    ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled: closer than `tolerance` and slower than
-    `resting`. Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
+    In [0, 1], for the load, not for the axes: 0.4 for nearness, 0.1 for calm,
+    ``1 / (1 + (sway / 2°)²)``, and 0.5 for being settled (closer than `tolerance` and slower than
+    `resting`). Nearness is 1 at rest at the goal and 0 a stroke of X away from it, on a logarithmic
     scale of distance / `tolerance` + velocity / `resting` (`servogym.envs.tasks.rewards`).
     ``info`` has the terms, ``distance`` (m) and ``sway`` (rad) of the load, and ``cost``, the
     share of the step at an internal limit.
 
     ## Episode
-    Starts with the load at rest, at a random start with a random goal, both from ``np_random``
-    unless the reset's options give ``start`` and ``goal``: a number for each axis (m), one number
-    for ``axes="x"``; and ``sway`` (rad), of the load in X, 0 if not given. A fault of a drive
+    An episode starts with the load at rest at a random start, with a random goal, both from
+    ``np_random`` unless the reset's options give ``start`` and ``goal``, one number per axis (m).
+    The option ``sway`` (rad) is the initial sway in X, by default 0. A fault of a drive
     terminates (``info["fault"]``). Time truncates, after 400 steps (4 s).
 
     ## Arguments
-    Those of `ServoEnv`, with 10 ms as `step_time` and ``{"payload": (1.0, 5.0), "cable_length":
-    (0.2, 0.4)}`` for `randomise` if they are not given; `axes` ("x" or "xy"), `sway_sensor`,
+    Those of `ServoEnv`, where `step_time` is 10 ms and `randomise` is ``{"payload": (1.0, 5.0),
+    "cable_length": (0.2, 0.4)}`` by default; `axes` ("x" or "xy"), `sway_sensor`,
     `speed` (m/s), `tolerance` (m), `resting` (m/s), `following_error_window` (m).
 
     ## Version history
@@ -203,7 +203,7 @@ class GantrySwayEnv(ServoEnv):
     STEP_TIME = 10e-3
     RPDO = ("target_position",)
     EPISODE = episode(
-        ("goal_x", "f8"),  # of the load (m); of Y if it is used
+        ("goal_x", "f8"),  # goal of the load (m); that of Y counts if Y is used
         ("goal_y", "f8"),
         ("distance", "f8"),  # of the load from it (m)
         ("sway", "f8"),  # rad
@@ -211,16 +211,16 @@ class GantrySwayEnv(ServoEnv):
         ("reward_calm", "f8"),
         ("reward_settled", "f8"),
         ("_goal", "f8", (2,)),  # the same
-        ("_side", "f8", (2,)),  # of the goal as seen from the start, -1 or 1
-        ("_overshoot", "f8"),  # farthest beyond the goal along an axis (m)
+        ("_side", "f8", (2,)),  # direction from the start to the goal, -1 or 1
+        ("_overshoot", "f8"),  # largest distance beyond the goal along an axis (m)
         ("_target", "f8", (2,)),  # set-points (m)
         ("_drive_at", "i8", (2,)),  # places in MjData.qpos and qvel
         ("_sway_at", "i8", (2,)),
         ("_length", "f8"),  # of the cable (m)
-        ("_noise", "f8", (2,)),  # of the sensor, a step before (rad)
+        ("_noise", "f8", (2,)),  # of the sensor, one step ago (rad)
         ("_step_time", "f8"),  # s
         ("_natural", "f8"),  # rate of the nominal pendulum (rad/s)
-        ("_way", "f8"),  # farthest a set-point goes in a step (m)
+        ("_way", "f8"),  # largest travel of a set-point in a step (m)
         ("_speed", "f8"),  # maximum profile velocity (m/s)
         ("_window", "f8"),  # of the following error (m)
         ("_max_torque", "f8"),  # per mille
@@ -267,9 +267,9 @@ class GantrySwayEnv(ServoEnv):
 
     _make = of_datasheet
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         places = {name: self._place_of(name, options.get(name)) for name in ("start", "goal")}
-        sway = in_range("options['sway']", options.get("sway", 0.0), -0.5, 0.5, "rad")
+        sway = options.number("sway", 0.0, -0.5, 0.5, "rad")
         self.place({"y": 0.5 * STROKE[1]} | dict(zip(AXES, places["start"], strict=False)))
         episode, model, data = self.episode, self.machine.model, self.machine.data
         for d, drive in enumerate(self.drives):
@@ -278,7 +278,7 @@ class GantrySwayEnv(ServoEnv):
             episode._target[d] = drive.read("position_actual_value") / METRE
         episode.goal_x, episode.goal_y = episode._goal
         for d, name in enumerate(AXES):
-            # all joints slide or turn, so a degree of freedom has the number of its coordinate
+            # all joints are slides or hinges, so qpos and qvel have the same numbers
             episode._drive_at[d] = model.joint(name).qposadr[0]
             episode._sway_at[d] = model.joint(f"sway_{name}").qposadr[0]
         data.qpos[episode._sway_at[0]] = sway
@@ -291,7 +291,7 @@ class GantrySwayEnv(ServoEnv):
         episode._resting = self.resting
 
     def _place_of(self, what: str, given: Any) -> list[float]:
-        """A place of the load by the reset's options, or drawn; a number an axis (m)."""
+        """Return a position of the load from the reset's options, or drawn, per axis (m)."""
         drawn = [float(self.np_random.uniform(MARGIN, s - MARGIN)) for s in STROKE]
         wanted = drawn[: len(self.DRIVES)] if given is None else list(np.atleast_1d(given))
         if len(wanted) != len(self.DRIVES):
@@ -304,21 +304,21 @@ class GantrySwayEnv(ServoEnv):
         ]
 
     def sensor(self) -> Sensor | None:
-        """At the hook, as far as there is one, as lengths of the nominal cable."""
+        """Return the sensor at the hook, if there is one, with lengths of the nominal cable."""
         widest, natural = WIDEST * CABLE, math.sqrt(9.81 / CABLE)
         return Sensor("sway", "sway_rate", widest, widest * natural) if self.sway_sensor else None
 
     def channels(self) -> tuple[Channel, ...]:
-        """The load along each axis that the agent moves, and what the drives do."""
+        """Return the channels of the load along each axis of the agent, and of the drives."""
         along = [channel for d in range(len(self.DRIVES)) for channel in _channels(d)]
         return tuple(along) + drives(len(self.drives) > 1)
 
     def figures(self) -> dict[str, float]:
-        """How far the load came beyond the goal."""
+        """Return the overshoot of the load."""
         return {"overshoot": 1e6 * self.episode._overshoot}
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The load at the goal."""
+        """Return the load at the goal."""
         place = self.machine.data.geom("payload").xpos
         away = [self.episode._goal[d] - place[d] for d in range(len(self.DRIVES))]
         return {"payload": np.array([*away, *[0.0] * (3 - len(away))])}

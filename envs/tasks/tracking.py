@@ -9,7 +9,7 @@ import numpy as np
 from ...drive.kernel.jit import block
 from ...drive.kernel.words import Mode
 from ...drive.model.model import DriveModel
-from ..engine.checks import choice, in_range
+from ..engine.checks import Options, choice, in_range
 from ..engine.probe import elastic
 from ..engine.tick import coordinates, speeds
 from ..environment.servo_env import METRE, ServoEnv
@@ -25,10 +25,10 @@ from .references import REFERENCES, Limits, make_reference
 
 STEPS = 400
 PREVIEW = 4  # points of the reference ahead
-STRIDE = 2  # steps from one of them to the next
+STRIDE = 2  # steps between these points
 SAMPLES = STEPS + 1 + PREVIEW * STRIDE
 CLOSE = 10e-6  # m, tracking error at which the reward for closeness has fallen to one half
-SMOOTH = 0.05  # of the maximum torque, change in a step at which smoothness has fallen to one half
+SMOOTH = 0.05  # share of the maximum torque, change per step that halves the smoothness
 RANDOMISE = {"payload": (1.0, 10.0), "friction": (0.5, 2.0)}
 CSP = int(Mode.CYCLIC_SYNC_POSITION)
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
@@ -36,7 +36,7 @@ STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 
 @block
 def act(episode, action, rpdos):
-    """Set-point: the next point of the reference, corrected; and the torque feed-forward."""
+    """Command the next point of the reference, corrected, and the torque feed-forward."""
     if episode._running and episode._now < STEPS:
         episode._now += 1
     target = episode._position[episode._now] + action.correction * episode._correction
@@ -46,7 +46,7 @@ def act(episode, action, rpdos):
 
 @block
 def judge(episode, rpdos, tpdos, observation):
-    """Observation and reward of what the TPDOs brought back."""
+    """Compute observation and reward from the TPDOs."""
     rpdo, tpdo = rpdos[0], tpdos[0]
     now = episode._now
     reference = episode._position[now]
@@ -74,7 +74,7 @@ def judge(episode, rpdos, tpdos, observation):
     qpos, qvel = coordinates(world), speeds(world)
     behind = reference + episode._rest
     for i in range(len(episode._places)):
-        if episode._places[i] >= 0:  # when the position was sampled, a position cycle ago
+        if episode._places[i] >= 0:  # at the time of the sampled position, one cycle ago
             behind -= qpos[episode._places[i]] - qvel[episode._places[i]] * episode._age
     change = (torque - episode._torque) / SMOOTH
     episode.error = error
@@ -92,16 +92,16 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 def _reference(env: Any) -> float:
-    """Where it is now (m)."""
+    """Return the present point of the reference (m)."""
     return float(env.episode._position[env.episode._now])
 
 
 class LinearAxisTrackingEnv(ServoEnv):
-    """Follow a reference trajectory on a linear axis whose friction and payload are not known.
+    """Follow a reference trajectory on a linear axis with unknown friction and payload.
 
     The drive follows the reference in cyclic synchronous position mode with its own cascade, tuned
-    for the nominal payload: with actions of 0 that is all. The agent corrects the target position
-    and adds torque. Before the first step the drive is enabled and referenced.
+    for the nominal payload; with actions of 0 it does nothing else. The agent corrects the target
+    position and adds torque. Before the first step the drive is enabled and referenced.
 
     ## Action space
     `Box(-1, 1, (2,), float32)`; with ``action="pdo"`` ten more: `servogym.envs.exchange.faces`
@@ -122,35 +122,34 @@ class LinearAxisTrackingEnv(ServoEnv):
     | 0 | error | tracking error: reference minus position | 6064h | `correction` |
     | 1 | reference | reference, -1 and 1 at the ends of the stroke | | half the stroke |
     | 2 | reference_velocity | velocity of the reference | | the maximum profile velocity 607Fh |
-    | 3 | reference_acceleration | acceleration of the reference | | that of the profile 6083h |
+    | 3 | reference_acceleration | its acceleration | | the profile acceleration 6083h |
     | 4 | velocity | velocity | 606Ch velocity_actual_value | the maximum profile velocity 607Fh |
     | 5 | following_error | following error | 60F4h | its window 6065h |
     | 6 | torque | torque | 6077h torque_actual_value | the maximum torque 6072h |
-    | 7–10 | preview[:] | way of the reference in the next 2, 4, 6, 8 steps | | \
+    | 7–10 | preview[:] | travel of the reference in the next 2, 4, 6, 8 steps | | \
 607Fh times that time |
 
     ## Reward
     In [0, 1]: ``0.8 / (1 + |tracking error| / 10 µm)`` for closeness, and for smoothness
     ``0.2 / (1 + (change of the torque in the step / 5 % of 6072h)²)``. The terms are in ``info``,
-    with the tracking error ``error`` (m) of the drive's encoder, its root mean square so far
-    ``rms_error`` (m), that of the load itself ``rms_load_error`` (m, the truth, behind what is
-    elastic, when the position was sampled), ``is_success`` while `rms_error` is within `tolerance`,
-    and ``info["cost"]``, the share of the step at a limit.
+    with the tracking error ``error`` (m) at the drive's encoder, its root mean square so far
+    ``rms_error`` (m), that of the load itself ``rms_load_error`` (m, the true position behind all
+    elasticity at the time of sampling), ``is_success`` while `rms_error` is within `tolerance`, and
+    ``cost``, the share of the step at an internal limit.
 
     ## Episode
-    Starts at rest at a random position. The reference is one of `servogym.envs.tasks.references`,
-    within the stroke and the profile velocity, acceleration and jerk of the axis; at its end, after
-    400 steps, it holds. It waits, and there is no reward, while the drive is not enabled in its
-    mode.
-    The reset's options may give ``start`` (m), ``reference`` (name) and ``way_points`` (m). A fault
-    of the drive terminates (``info["fault"]``: code and meaning). Time truncates, after 400 steps
-    (2 s).
+    An episode starts at rest at a random position. The reference is one of
+    `servogym.envs.tasks.references`, within the stroke and the profile velocity, acceleration and
+    jerk of the axis, and ends after 400 steps. While the drive is not enabled in its mode, the
+    reference waits and there is no reward. The reset's options may give ``start`` (m),
+    ``reference`` (name) and ``way_points`` (m). A fault of the drive terminates (``info["fault"]``:
+    code and meaning). Time truncates, after 400 steps (2 s).
 
     ## Arguments
-    Those of `ServoEnv`, with payload 1..10 kg and friction 0.5..2 of the nominal as the default of
-    `randomise`, and `reference` (name; drawn for each episode if not given), `correction` (m),
-    `payload` (kg, nominal), `tolerance` (m, of the root mean square), `following_error_window` (m),
-    `parameters`: `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
+    Those of `ServoEnv`, where `randomise` is payload 1..10 kg and friction 0.5..2 of the nominal by
+    default, and `reference` (name; by default drawn for each episode), `correction` (m), `payload`
+    (kg, nominal), `tolerance` (m, of the root mean square), `following_error_window` (m) and
+    `parameters`, `LinearAxisParameters` or the name of a preset of `FAMILY` instead of `payload`.
 
     ## Version history
     * v0: first version
@@ -178,13 +177,13 @@ class LinearAxisTrackingEnv(ServoEnv):
         ("_squares", "f8"),  # sum of error² (m²) over `_count` steps
         ("_load_squares", "f8"),  # the same of the load
         ("_count", "i8"),
-        ("_places", "i8", (3,)),  # in MjData.qpos of what the load's place is the sum; -1: none
-        ("_age", "f8"),  # of a position when it is told (s)
-        ("_rest", "f8"),  # and of it at the start, beyond the drive's position there (m)
-        ("_torque", "f8"),  # a step before, as a share of the maximum
+        ("_places", "i8", (3,)),  # in MjData.qpos; their sum is the load's position; -1: none
+        ("_age", "f8"),  # of a position when it is reported (s)
+        ("_rest", "f8"),  # position of the load at the start minus that of the drive (m)
+        ("_torque", "f8"),  # one step ago, as a share of the maximum
         ("_correction", "f8"),  # m
         ("_speed", "f8"),  # maximum profile velocity (m/s)
-        ("_way", "f8"),  # at that velocity in a step (m)
+        ("_way", "f8"),  # travel at that velocity in a step (m)
         ("_max_acceleration", "f8"),  # of the profile (m/s²)
         ("_window", "f8"),  # of the following error (m)
         ("_max_torque", "f8"),  # per mille
@@ -206,14 +205,14 @@ class LinearAxisTrackingEnv(ServoEnv):
             "rms tracking error at the load (µm)", "low", "reference minus place of the load"
         ),
     }
-    DONE = ("", "")  # it goes on to the end
+    DONE = ("", "")  # episodes always run to the end
     CHANNELS = (
         Channel("carriage\n(mm)", in_mm(position), lambda env: MM * _reference(env)),
         Channel("tracking error\n(µm)", lambda env: UM * float(env.episode.error)),
         Channel("velocity\n(m/s)", velocity),
     )
     STROKE = (STROKE,)
-    # the actions are small corrections of what the drive does well by itself
+    # the actions are small corrections of a drive that follows well by itself
     HYPERPARAMETERS = {  # noqa: RUF012
         "PPO": {"gamma": 0.9, "policy_kwargs": {"log_std_init": -3.0, "net_arch": [64, 64]}},
     }
@@ -238,9 +237,9 @@ class LinearAxisTrackingEnv(ServoEnv):
 
     _make = of_datasheet
 
-    def _begin(self, options: dict[str, Any]) -> None:
+    def _begin(self, options: Options) -> None:
         start = self.np_random.uniform(MARGIN, STROKE - MARGIN)
-        start = in_range("options['start']", options.get("start", start), 0.0, STROKE, "m")
+        start = options.number("start", start, 0.0, STROKE, "m")
         self.place({"x": start})
         episode, x, p = self.episode, self.drive, self.datasheet
         limits = Limits(0.0, STROKE, p.max_velocity, p.max_acceleration, p.max_jerk)
@@ -273,7 +272,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         return list(REFERENCES)[self.np_random.integers(len(REFERENCES))]
 
     def figures(self) -> dict[str, float]:
-        """The tracking error; a reference is not a goal that it could settle at."""
+        """Return tracking errors; a reference has no goal to settle at."""
         return {
             "tracking_error": UM * self.episode.rms_error,
             "load_error": UM * self.episode.rms_load_error,
@@ -281,6 +280,6 @@ class LinearAxisTrackingEnv(ServoEnv):
         }
 
     def ghosts(self) -> dict[str, np.ndarray]:
-        """The carriage where the reference is."""
+        """Return the carriage at the present point of the reference."""
         away = self.episode._position[self.episode._now] - self.machine.data.qpos[0]
         return {"carriage": np.array([away, 0.0, 0.0])}
