@@ -1,14 +1,14 @@
 # %% [markdown]
 # # 1 · Enable a drive in ten lines
 #
-# A servo drive does not move because it is told where to go. It first walks through the states of
-# CiA 402, one command at a time, and tells in its statusword where it is:
+# A target position alone does not move a servo drive. The drive first has to walk through the
+# states of CiA 402, one command at a time; its statusword shows the present state:
 #
 # | controlword | command | state it leads to |
 # |---|---|---|
-# | 0006h | shutdown | READY_TO_SWITCH_ON: mains there, power stage off |
+# | 0006h | shutdown | READY_TO_SWITCH_ON: mains present, power stage off |
 # | 0007h | switch on | SWITCHED_ON: power stage ready, motor without torque |
-# | 000Fh | enable operation | OPERATION_ENABLED: the motor holds and obeys |
+# | 000Fh | enable operation | OPERATION_ENABLED: the motor holds its position and obeys |
 #
 # Run it as `python 01_enable_a_drive.py [picture.png]`, or cell by cell in an editor.
 
@@ -25,8 +25,8 @@ from servogym.training.pictures.scope import draw
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/01_enable_a_drive.png"))
 
 # %% [markdown]
-# The ten lines. A machine is a linear axis in MuJoCo with a drive called `x`; a step is one cycle
-# of the drive's position controller, 0.5 ms.
+# These are the ten lines. The machine is a linear axis in MuJoCo with a drive called `x`; a step is
+# one cycle of the position controller of the drive, 0.5 ms.
 
 # %%
 machine = linear_axis("generic", payload=5.0)
@@ -41,7 +41,7 @@ for controlword in (0x06, 0x07, 0x0F):
 print(x.describe())
 
 # %% [markdown]
-# Each state in its order, none left out:
+# The drive has passed through every state in order:
 
 # %%
 assert states == [
@@ -52,9 +52,9 @@ assert states == [
 ]
 
 # %% [markdown]
-# Now the same under an oscilloscope, with a profile position move behind it and the way back to
-# SWITCH_ON_DISABLED. A `Trace` takes one sample a position cycle; a phase is a name on the time
-# axis.
+# Now the same is recorded by an oscilloscope, followed by a profile position move and the way back
+# to SWITCH_ON_DISABLED. A `Trace` takes one sample per position cycle; a phase is a name on the
+# time axis.
 
 # %%
 machine.reset(positions={"x": 0.12})
@@ -63,7 +63,7 @@ phases = []
 
 
 def control(controlword: int, cycles: int, name: str = "") -> None:
-    """Write a controlword, let `cycles` pass, and say what the drive answered."""
+    """Write a controlword, run `cycles`, and print the answer of the drive."""
     start = len(trace)
     x.write("controlword", controlword)
     for _ in range(cycles):
@@ -87,9 +87,8 @@ control(0x07, 100)
 control(0x00, 100)
 
 # %% [markdown]
-# The last three words took the set-point bit back, disabled the operation and switched the
-# voltage off. The axis stands where it was sent, 50 mm away, which the drive says with *target
-# reached*.
+# The last three controlwords cleared the set-point bit, disabled the operation and switched off the
+# voltage. The axis stands at its target, 50 mm away, and the drive reports *target reached*.
 
 # %%
 moved = machine.data.qpos[0] - 0.12

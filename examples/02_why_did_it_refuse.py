@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 2 · Why did my drive refuse?
 #
-# A drive never raises an exception. It answers: with a state that stays what it was, with bit 11
-# of the statusword, with a fault code, or with an abort code on an object access. This lesson
+# A drive never raises an exception. It answers with a state that does not change, with bit 11 of
+# the statusword, with a fault code, or with the abort code of an object access. This lesson
 # provokes all four and reads the answers.
 
 # %%
@@ -28,13 +28,13 @@ phases = []
 
 
 def begin(name: str) -> None:
-    """The next part of the picture begins here."""
+    """Begin the next part of the picture."""
     phases.append(Phase(name, len(trace), len(trace)))
 
 
 # %% [markdown]
-# **A refused command.** Enable operation is not obeyed in SWITCH_ON_DISABLED. The state stays,
-# and `why()` names command, state and what is missing.
+# **A refused command.** Enable operation is not obeyed in SWITCH_ON_DISABLED. The state does not
+# change, and `why()` names the command, the state and the missing condition.
 
 # %%
 begin("not in order")
@@ -45,8 +45,8 @@ print(x.why())
 assert x.why().startswith("ENABLE_OPERATION was refused in SWITCH_ON_DISABLED")
 
 # %% [markdown]
-# **A fault that is still there.** Over-voltage trips the drive. Fault reset is a rising edge of
-# bit 7, and it is refused as long as the cause is present.
+# **A fault whose cause is still present.** Over-voltage trips the drive. A fault reset is a rising
+# edge of bit 7, and it is refused as long as the cause is present.
 
 # %%
 begin("fault")
@@ -64,15 +64,14 @@ x.clear_injected()
 master.reset_fault()
 
 # %% [markdown]
-# **An internal limit.** The axis is homed, its software limits are 0 and 500 mm (607Dh), and the
-# target lies beyond. The drive moves as far as it may and sets bit 11; object 2011h tells which
-# limit.
+# **An internal limit.** The axis is homed, its upper software limit is 80 mm (607Dh), and the
+# target lies beyond it. The drive moves to the limit and sets bit 11; object 2011h names the limit.
 
 # %%
 begin("limit")
 master.enable()
 x.write("home_offset", 0)
-master.home(37)  # where it stands is zero
+master.home(37)  # the present position becomes zero
 x.write("max_position_limit", 80_000)
 x.write("modes_of_operation", Mode.PROFILE_POSITION)
 x.write("target_position", 200_000)
@@ -85,8 +84,8 @@ print(x.describe(), "|", *active, "|", x.read("position_actual_value"), "µm")
 assert active == ["SOFTWARE_POSITION_MAX"]
 
 # %% [markdown]
-# **A following error.** With 15 % of the rated torque the motor cannot follow its own profile.
-# The error leaves its window of 1 mm for longer than 10 ms, and the drive gives up.
+# **A following error.** With 15 % of the rated torque the motor cannot follow its own profile. The
+# error exceeds its window of 1 mm for longer than 10 ms, and the drive trips.
 
 # %%
 begin("following error")
@@ -101,7 +100,7 @@ fault = x.fault
 assert fault.startswith("8611h")
 
 # %% [markdown]
-# **An abort code.** Objects are refused one by one, with the code of CiA 301 that an SDO would
+# **An abort code.** Each refused access to an object has the code of CiA 301 that an SDO would
 # carry:
 
 # %%
@@ -122,8 +121,8 @@ assert codes[:2] == [Abort.READ_ONLY, Abort.INVALID_VALUE]
 assert codes[3:] == [Abort.NO_OBJECT, Abort.NO_SUBINDEX]
 
 # %% [markdown]
-# In the picture: the state strip stays grey where the command was refused and turns red at the
-# two faults, bit 11 rises with the limits, and at the end the following error crosses its window.
+# In the picture, the state strip stays grey where the command was refused and turns red at the two
+# faults, bit 11 rises with the limits, and at the end the following error crosses its window.
 
 # %%
 picture.parent.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 3 · Tune the cascade
 #
-# The velocity loop decides how stiff an axis is. This lesson measures it as one does on a real
-# drive: a step of the velocity, and a Bode diagram from sines of a stated amplitude, with the
-# margins by `python-control` (`pip install 'servogym[examples]'`).
+# The velocity loop determines the stiffness of an axis. This lesson measures it as on a real drive:
+# a step of the velocity, and a Bode diagram from sines with a known amplitude. `python-control`
+# computes the margins (`pip install 'servogym[examples]'`).
 
 # %%
 import sys
@@ -26,8 +26,8 @@ x = machine.drives["x"]
 master = Master(MachinePort(machine), "x")
 
 # %% [markdown]
-# The gains that the axis was commissioned with, in the units of the drive and in SI. They are
-# those of the symmetrical optimum for the inertia at the shaft and the delays of this drive.
+# These are the commissioned gains, in the units of the drive and in SI. They follow from the
+# symmetrical optimum for the inertia at the shaft and the delays of this drive.
 
 # %%
 kp = x.read("velocity_control_gain") * x.axis.velocity_gain_unit  # Nm·s/rad
@@ -38,10 +38,10 @@ print(f"60FBh:01 = {x.read('position_control_gain')} /1000 s = "
       f"{x.read('position_control_gain') * x.axis.position_gain_unit:.0f} 1/s")
 
 # %% [markdown]
-# **How it is measured.** The axis travels at 0.1 m/s in mode csv, so that friction keeps its
-# sign. A sine on the torque offset 60B2h, 4 % of the rated torque, adds *d* to what the
-# controller gives. Of the total *u*, the torque command, follows the open loop *L*: u/d = 1/(1 +
-# L). One snapshot, taken in motion, serves all frequencies.
+# **How it is measured.** The axis travels at 0.1 m/s in mode csv, so that friction keeps its sign.
+# A sine on the torque offset 60B2h, 4 % of the rated torque, adds *d* to the output of the
+# controller. The total *u*, the torque command, gives the open loop *L*: u/d = 1/(1 + L). All
+# frequencies start from one snapshot taken in motion.
 
 # %%
 AMPLITUDE = 40  # per mille of rated torque
@@ -68,13 +68,13 @@ def open_loop(frequency: float) -> complex:
             u.append(x.axis.torque_command)
     wave = np.exp(-2j * np.pi * frequency * Ts * np.arange(count)) * np.hanning(count)
     ratio = np.dot(wave, u - np.mean(u)) / np.dot(wave, d)
-    # d is held for two velocity cycles; what the hold adds above 1 kHz the loop lets through
+    # d is held for two velocity cycles; the images of the hold above 1 kHz pass the loop
     held = (1 + np.exp(2j * np.pi * frequency * T)) / 2
     return held / (ratio - 1 + held) - 1
 
 
 def measure(gain: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Open loop at all frequencies, and a step of 20 mm/s, with the velocity gain times `gain`."""
+    """Open loop at all frequencies, and a step of 20 mm/s, with `gain` times the velocity gain."""
     points = []
     for frequency in FREQUENCIES:
         machine.restore(moving)
@@ -94,9 +94,10 @@ gains = (0.5, 1.0, 4.0)
 loops, steps = zip(*[measure(gain) for gain in gains], strict=True)
 
 # %% [markdown]
-# **What it should be.** PI controller, current loop, inertia and velocity filter, each as the
-# drive computes it once a velocity cycle. (The rule behind the gains adds up the time constants
-# as if they were continuous, 0.9 ms; that leaves 53° by design, and sampled lags are shorter.)
+# **The expected loop.** It consists of PI controller, current loop, inertia and velocity filter,
+# each as the drive computes it once per velocity cycle. (The rule for the gains adds up the time
+# constants as if they were continuous, 0.9 ms; that leaves 53° by design, and sampled lags are
+# shorter.)
 
 # %%
 z = np.exp(1j * OMEGA * T)
@@ -115,14 +116,14 @@ for name, loop in zip(names, (*loops, calculated), strict=True):
 half, commissioned, fourfold, expected = margins
 assert abs(commissioned[0] - expected[0]) < 3.0  # degree
 assert half[0] < commissioned[0]
-assert fourfold[1] < commissioned[1] - 0.1  # four times the gain comes nearer to -1
+assert fourfold[1] < commissioned[1] - 0.1  # four times the gain comes closer to -1
 
 # %% [markdown]
-# Four times the gain crosses 3.5 times as high and still has 54°, but it comes nearer to -1: the
-# step overshoots twice as far. Half the gain overshoots least and takes longest to come back,
-# because the integral part was made for a faster loop. At low frequencies the fourfold loop
-# leaves so little of the sine in *u* that the encoder's steps show in the curve: there a greater
-# amplitude is needed.
+# With four times the gain the crossover is 3.5 times as high and the margin is still 54°, but the
+# loop comes closer to -1: the step overshoots twice as far. Half the gain overshoots least and
+# takes longest to return, because the integral part suits a faster loop. At low frequencies the
+# fourfold loop leaves so little of the sine in *u* that the increments of the encoder are visible
+# in the curve; a larger amplitude is needed there.
 
 # %%
 figure, (response, size, angle) = plt.subplots(3, 1, figsize=(8, 10), layout="constrained")

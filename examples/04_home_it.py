@@ -1,15 +1,15 @@
 # %% [markdown]
 # # 4 · Home it
 #
-# An incremental encoder counts from where it was powered on. Homing tells the drive where it is:
-# it looks for a switch, an index pulse or a mechanical stop, and gives that place a position.
-# Here the same axis is homed by three methods of 6098h, from the same start:
+# An incremental encoder counts from its position at power-on. Homing gives the drive its reference:
+# the drive looks for a switch, an index pulse or a mechanical stop, and assigns a position to that
+# place. Here the same axis is homed by three methods of 6098h from the same start:
 #
-# | method | what it looks for |
+# | method | it looks for |
 # |---|---|
 # | 17 | the edge of the negative limit switch |
 # | 7 | the home switch, then the index pulse of the encoder beside it |
-# | -17 | the mechanical stop, felt by the torque |
+# | -17 | the mechanical stop, detected by the torque |
 
 # %%
 import sys
@@ -33,16 +33,16 @@ x = machine.drives["x"]
 x.write("home_offset", 0)  # the home position is zero
 
 # %% [markdown]
-# The procedure is the same for each: mode 6, method, and a rising edge of bit 4 of the
-# controlword. `Master.home` waits for *homing attained*, or for *homing error*. The search
-# for the switch is fast (6099h:01), the search for the zero slow (6099h:02). Only the simulation
-# knows the true place.
+# The procedure is always the same: mode 6, the method, and a rising edge of bit 4 of the
+# controlword. `Master.home` waits for *homing attained* or *homing error*. The search for the
+# switch is fast (6099h:01), the search for the zero is slow (6099h:02). Only the simulation knows
+# the true position.
 
 # %%
 
 
 def home(method: int) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
-    """Home from START; -> trace, true positions (m), the true place of the drive's zero (m)."""
+    """Home from START; -> trace, true positions (m), true position of the drive's zero (m)."""
     machine.reset(positions={"x": START})
     trace, places = Trace(x, ["velocity_actual_value", "axis.torque"]), []
 
@@ -51,7 +51,7 @@ def home(method: int) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
         places.append(machine.data.qpos[0])
 
     master = Master(MachinePort(machine, look), "x")
-    # onto a stop all the way goes at the slower speed, else it would take 12 s
+    # the whole search for a stop uses the slower speed, which would take 12 s
     x.write("speed_during_search_for_zero", 50_000 if method < 0 else 10_000)  # µm/s
     master.enable()
     master.home(method)
@@ -62,8 +62,8 @@ def home(method: int) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
 runs = {method: home(method) for method in METHODS}
 
 # %% [markdown]
-# What they cost. `built_in` runs a method again and measures it: the error against the ideal
-# place, the time, and the energy of what it hit.
+# `built_in` runs a method again and measures it: the error against the ideal home, the time, and
+# the energy of impacts.
 
 # %%
 figures = {}
@@ -78,8 +78,8 @@ assert abs(figures[7].error) < abs(figures[-17].error)  # an index pulse beats a
 assert figures[-17].impact_energy > 0.0 == figures[17].impact_energy  # only the stop is hit
 
 # %% [markdown]
-# The diagram, as in a manual: position to the right, time downwards. Triangle: the place that the
-# drive now calls home. Grey: where a switch is active. The index pulses come once a motor
+# The diagram is drawn as in a manual: position to the right, time downwards. The triangle marks the
+# home of the drive; in the grey areas a switch is active. Index pulses occur once per motor
 # revolution, 60 mm.
 
 # %%

@@ -2,9 +2,9 @@
 # # 5 · Stream a trajectory through csp
 #
 # In cyclic synchronous position mode the master computes the trajectory and sends one target
-# position a bus cycle; the drive interpolates and follows. How well it follows depends on the
-# trajectory. Here ruckig plans the same move twice, without and with a limit of the jerk that
-# counts, and the drive reports its following error 60F4h.
+# position per bus cycle; the drive interpolates and follows. The following error depends on the
+# trajectory. Here ruckig plans the same move twice, with and without an effective jerk limit, and
+# the drive reports its following error 60F4h.
 
 # %%
 import sys
@@ -29,8 +29,8 @@ machine.reset(positions={"x": 0.1})
 x = machine.drives["x"]
 
 # %% [markdown]
-# The master tells the drive its bus cycle (60C2h), so that the drive interpolates over exactly
-# that time, and maps controlword and target position into one RPDO.
+# The master writes the bus cycle to 60C2h, so that the drive interpolates over exactly that time,
+# and maps controlword and target position into one RPDO.
 
 # %%
 x.write("interpolation_time_period_value", 1)
@@ -64,8 +64,8 @@ def stream(jerk: float) -> dict[str, np.ndarray]:
 runs = {"acceleration steps": stream(1e6), "jerk 300 m/s³": stream(300.0)}
 
 # %% [markdown]
-# What the drive made of it. The jerk costs some 30 ms (acceleration / jerk) and leaves little
-# more than half of the peak.
+# The jerk limit costs about 30 ms (acceleration / jerk) and reduces the peak of the following error
+# to little more than half.
 
 # %%
 window = x.read("following_error_window")  # µm, 6065h
@@ -82,9 +82,9 @@ assert smooth[0] < 0.7 * steps[0]  # the peak
 assert steps[0] < window
 
 # %% [markdown]
-# And without any trajectory? The target 0.3 m away in one frame is a set-point that no axis can
-# follow: the drive goes there at its own maximum velocity, the error leaves its window, and 8611h
-# ends it.
+# Without a trajectory, a target 0.3 m away in a single frame is a set-point that no axis can
+# follow: the drive moves at its own maximum velocity, the error exceeds its window, and the drive
+# trips with 8611h.
 
 # %%
 machine.reset(positions={"x": 0.1})
@@ -115,7 +115,7 @@ for panel, label in zip(panels, labels, strict=True):
     panel.set_ylabel(label)
     panel.grid(alpha=0.3)
     panel.legend(fontsize=8, loc="upper right" if panel is not panels[0] else "lower right")
-panels[3].set_yscale("symlog", linthresh=100)  # linear to 100 µm, that both may be seen
+panels[3].set_yscale("symlog", linthresh=100)  # linear to 100 µm, so that both are visible
 panels[3].set_yticks([-window, -100, -50, 0, 50, 100, window])
 panels[3].set_yticklabels([-window, -100, -50, 0, 50, 100, window])
 panels[3].set(xlabel="time (s)", ylim=(-2 * window, 2 * window))

@@ -1,12 +1,12 @@
 # %% [markdown]
 # # 6 · Let a policy command it
 #
-# The same drive in a Gymnasium environment: `servogym/LinearAxis-v0`, bring the carriage to a
-# goal and hold it there. A policy sees what the drive's TPDOs bring back, and moves the target
-# position in its RPDO. A hand-written policy here meets one that draws its actions by chance.
+# Here the same drive is part of a Gymnasium environment, `servogym/LinearAxis-v0`: bring the
+# carriage to a goal and hold it there. A policy observes the TPDOs of the drive and moves the
+# target position in its RPDO. This lesson compares a hand-written policy with random actions.
 #
-# A learned one is a function of the same two spaces: any library that takes a Gymnasium
-# environment can train it, with `gymnasium.make_vec` for speed. `pip install 'servogym[train]'`
+# A learned policy uses the same two spaces: any library for Gymnasium environments can train it,
+# with `gymnasium.make_vec` for speed. `pip install 'servogym[train]'`
 # brings Stable-Baselines3, for `servogym train LinearAxis-v0`.
 
 # %%
@@ -25,27 +25,26 @@ print(env.observation_space, env.action_space)
 
 # %% [markdown]
 # The action is the velocity of the set-point, 1.0 is 607Fh = 2 m/s. Observation 0 is the distance
-# to the goal in strokes of 0.5 m, observation 5 how far the set-point is ahead of the carriage,
-# in windows of 20 mm. Their difference is the way that is left for the set-point. The policy
-# brakes along the parabola v² = 2 a s, and memorises nothing but its last velocity, to respect
-# the acceleration.
+# to the goal in strokes of 0.5 m, observation 5 is the lead of the set-point over the carriage in
+# windows of 20 mm. Their difference is the remaining distance of the set-point. The policy brakes
+# along the parabola v² = 2 a s and only stores its last velocity, to limit the acceleration.
 
 # %%
 STROKE, WINDOW, MAX_VELOCITY, STEP = 0.5, 0.02, 2.0, 5e-3  # m, m, m/s, s
-ACCELERATION = 8.0  # m/s², the motor has some more
+ACCELERATION = 8.0  # m/s², less than the motor can do
 
 
 class Braking:
-    """Accelerate, travel at 1 m/s at most, and brake in time."""
+    """Accelerates, travels at 1 m/s at most, and brakes in time."""
 
     def __init__(self):
         self.velocity = 0.0  # of the set-point (m/s)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        seen = env.unwrapped.named(observation)  # by the names in the docstring of the task
-        left = seen.distance * STROKE - seen.set_point * WINDOW  # m
+        named = env.unwrapped.named(observation)  # with the names in the docstring of the task
+        left = named.distance * STROKE - named.set_point * WINDOW  # m
         step = ACCELERATION * STEP
-        # the parabola, reached at the end of the step; within one step it is a straight line
+        # the parabola at the end of the step; within one step it is a straight line
         allowed = np.sqrt((step / 2) ** 2 + 2 * ACCELERATION * abs(left)) - step / 2
         wanted = np.sign(left) * min(allowed, abs(left) / STEP, 1.0)
         self.velocity = np.clip(wanted, self.velocity - step, self.velocity + step)
@@ -53,20 +52,20 @@ class Braking:
 
 
 class Random:
-    """Any action, at any time."""
+    """Draws random actions."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         return env.action_space.sample()
 
 
 # %% [markdown]
-# Five episodes each, with the same seeds: the seed decides start and goal. The reward of a step
-# lies in [0, 1], half for being near, half for being settled within 50 µm.
+# Each policy plays five episodes with the same seeds; the seed determines start and goal. The
+# reward of a step lies in [0, 1], half for nearness, half for being settled within 50 µm.
 
 
 # %%
 def episode(policy, seed: int) -> tuple[np.ndarray, float, dict]:
-    """-> distance to the goal by step (m), mean reward over the time limit, last info."""
+    """Play an episode; -> distance to the goal by step (m), mean reward, last info."""
     observation, info = env.reset(seed=seed)
     env.action_space.seed(seed)
     distances, total, over = [info["distance"]], 0.0, False
@@ -100,7 +99,7 @@ for panel, (name, results) in zip(panels, runs.items(), strict=True):
     panel.set_title(f"{name}: mean reward {scores[name]:.2f}")
     panel.grid(alpha=0.3)
     panel.legend(fontsize=8)
-figure.suptitle("LinearAxis-v0, five seeds; a line that ends early is a fault of the drive")
+figure.suptitle("LinearAxis-v0, five seeds; a line ends early when the drive has a fault")
 picture.parent.mkdir(parents=True, exist_ok=True)
 figure.savefig(picture, dpi=110)
 print(picture)

@@ -1,10 +1,9 @@
 # %% [markdown]
 # # 7 · Talk to it with `canopen`
 #
-# The drive is a CANopen node as well. Here the library `canopen`, which knows nothing of
-# servogym, is the master: its `BaseNode402` enables the drive, homes it and moves it, on a
-# virtual bus of python-can, in real time. With another interface the same lines talk to a real
-# drive.
+# The drive is also a CANopen node. Here the library `canopen`, which knows nothing about servogym,
+# is the master: its `BaseNode402` enables the drive, homes it and moves it in real time, on a
+# virtual bus of python-can. With another interface the same lines command a real drive.
 
 # %%
 import sys
@@ -29,9 +28,9 @@ picture = Path(
 BUS = {"interface": "virtual", "channel": "servogym-lesson-7"}
 
 # %% [markdown]
-# Three members on one bus: the drive as node 5, served by a thread; a listener that only records;
-# and the library. In a shell the first one is `servogym node --node-id 5 -i udp_multicast -c
-# 239.74.163.2`.
+# Three members share the bus: the drive as node 5, served by a thread; a listener that only
+# records; and the library. In a shell, `servogym node --node-id 5 -i udp_multicast -c
+# 239.74.163.2` starts the first one.
 
 # %%
 server = Server(can.Bus(**BUS), [axis_for("generic", 5)])
@@ -45,7 +44,7 @@ network.add_node(node)
 
 
 def until(condition, what: str) -> None:
-    """Wait; the drive moves in real time."""
+    """Wait for a condition while the drive moves in real time."""
     end = time.monotonic() + 10.0
     while not condition():
         if time.monotonic() > end:
@@ -54,9 +53,9 @@ def until(condition, what: str) -> None:
 
 
 # %% [markdown]
-# Pre-operational to set the event timer of TPDO1, so that the statusword comes every 20 ms; then
-# operational, enabled, homed by method 34 (the index pulse), and moved by 30 mm in profile
-# position.
+# In pre-operational the event timer of TPDO1 is set, so that the statusword is sent every 20 ms.
+# The node then becomes operational; the drive is enabled, homed by method 34 (the index pulse), and
+# moved by 30 mm in profile position mode.
 
 # %%
 try:
@@ -89,8 +88,8 @@ print(f"from {start} to {reached} µm, {server.statistics.missed} deadlines miss
 assert abs(reached - target) < 50
 
 # %% [markdown]
-# What went over the bus, by meaning. `servogym decode` does the same with a log: give this lesson
-# the name of one, `run.log`, and it leaves it.
+# These are the decoded frames of the bus. `servogym decode` does the same with a log; this lesson
+# writes one if you give it a name such as `run.log`.
 
 # %%
 messages = []
@@ -107,13 +106,13 @@ last = ""
 for message in messages:
     text = decoder.decode(parse(f"{message.arbitration_id:03X}#{message.data.hex()}"))
     kinds.setdefault(text.split()[0], []).append(message.timestamp - messages[0].timestamp)
-    if "PDO" in text.split()[0] and text != last:  # not what is only repeated
+    if "PDO" in text.split()[0] and text != last:  # without repetitions
         print(f"{message.timestamp - messages[0].timestamp:7.3f} s  {text}")
         last = text
 
 # %% [markdown]
-# In the picture each frame is a stroke, in the row of its service: configuration by SDO first,
-# then PDOs, with controlwords from the master and statuswords from the drive.
+# In the picture each frame is a stroke in the row of its service: first configuration by SDO, then
+# PDOs, with controlwords from the master and statuswords from the drive.
 
 # %%
 figure, panel = plt.subplots(figsize=(11, 4.5), layout="constrained")

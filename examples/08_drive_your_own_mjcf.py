@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 8 · Put a drive on your own MJCF
 #
-# Any hinge or slide of any MuJoCo model takes a drive, by its name. Here an arm of two links in
-# the vertical plane, written down for this lesson, gets two drives of different make. `from_mjcf`
-# takes a file as well.
+# Any hinge or slide of a MuJoCo model can get a drive, by its name. Here an arm with two links in
+# the vertical plane, written for this lesson, gets two drives of different manufacturers.
+# `from_mjcf` also accepts a file.
 
 # %%
 import sys
@@ -34,11 +34,10 @@ ARM = """
 """
 
 # %% [markdown]
-# `from_mjcf` gives each named joint a motor; `gears` is rad of motor per rad of joint. The
-# physics step is shortened until it fits the cycles of both drives. `commission_joint` then finds
-# motor size, limits, units (1 µrad) and controller gains from the masses of the model. What is
-# still to do is what one does at any machine: enable, home (method 37: the present pose is
-# known), move.
+# `from_mjcf` gives each named joint a motor; `gears` is rad of motor per rad of joint. The physics
+# step is shortened until it fits the cycles of both drives. `commission_joint` then derives motor
+# size, limits, units (1 µrad) and controller gains from the masses of the model. The remaining
+# steps are those of any machine: enable, home (method 37: the present pose is known), move.
 
 # %%
 machine = Machine.from_mjcf(
@@ -61,14 +60,13 @@ for name, x in machine.drives.items():
 print(f"physics step {machine.model.opt.timestep * 1e6:g} µs")
 
 # %% [markdown]
-# Each master waits for its own drive; while one waits both are traced, and both hold their
-# place.
+# Each master waits for its own drive. Meanwhile both drives are traced and hold their positions.
 
 # %%
 
 
 def look() -> None:
-    """One sample of both drives."""
+    """Take a sample of both drives."""
     for trace in traces.values():
         trace.sample(machine.time)
 
@@ -79,12 +77,12 @@ for name, target in TARGETS:
     masters[name].move_to(target)
     masters[name].wait(100 * machine.cycle_time)
     joint = machine.data.joint(name).qpos[0]
-    print(f"{name} at {joint:+.4f} rad, told {target:+.4f}")
+    print(f"{name} at {joint:+.4f} rad, target {target:+.4f}")
     assert abs(joint - target) < 1e-3
 
 # %% [markdown]
-# The torque at rest is the weight of the links divided by the gear: it is largest while the arm
-# is stretched out, and the elbow feels the motion of the shoulder.
+# The torque at rest is that of the weight of the links divided by the gear. It is largest while the
+# arm is stretched out; the motion of the shoulder also acts on the elbow.
 
 # %%
 figure, (angles, torques) = plt.subplots(2, 1, figsize=(9, 6.5), sharex=True, layout="constrained")
@@ -94,7 +92,7 @@ for colour, (name, trace) in zip(("C0", "C1"), traces.items(), strict=True):
     angles.plot(data["time"], data["position_demand_value"] / 1e6, "k--", lw=0.8)
     torques.plot(data["time"], data["axis.torque"], color=colour, label=name)
 torques.axhline(0.0, color="grey", lw=0.8)
-angles.set(ylabel="angle (rad)", title="two drives on an arm of one's own; dashed: demand")
+angles.set(ylabel="angle (rad)", title="two drives on your own arm; dashed: demand")
 torques.set(xlabel="time (s)", ylabel="torque of the motor (Nm)")
 for panel in (angles, torques):
     panel.grid(alpha=0.3)

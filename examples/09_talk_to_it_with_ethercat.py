@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 9 · Talk to it with EtherCAT
 #
-# A Kollmorgen AKD behind an EtherCAT slave controller, and a master that sends frames: scan,
-# states, SDO, process data. Everything is in memory, so the lesson runs the same each time; on a
-# wire `servogym ethercat -i eth0 --drive kollmorgen_akd` answers any master, pysoem or SOEM, with
-# the same bytes.
+# A master sends frames to a Kollmorgen AKD behind an EtherCAT slave controller: scan, states, SDO
+# and process data. Everything happens in memory, so the lesson runs identically each time. On a
+# wire, `servogym ethercat -i eth0 --drive kollmorgen_akd` answers any master, such as pysoem or
+# SOEM, with the same bytes.
 
 # %%
 import sys
@@ -29,8 +29,8 @@ picture = Path(
 )
 
 # %% [markdown]
-# The drive moves a linear axis. A segment is a line of slaves, here of one; the bus lets the
-# machine run: with the clock `frame`, each frame of process data lets one cycle 60C2h pass.
+# The drive moves a linear axis. A segment is a line of slaves, here with a single one. The bus runs
+# the machine: with the clock `frame`, each frame of process data runs one cycle of 60C2h.
 
 # %%
 model = load("kollmorgen_akd", "ethercat")
@@ -39,8 +39,8 @@ machine.reset(positions={"x": 0.25})
 bus = Bus(Segment([Slave(machine.drives["x"])]), [machine], clock="frame")
 
 # %% [markdown]
-# One frame by hand: BRD reads the register AL Status (0130h) of all slaves at once. The working
-# counter that comes back tells how many there are; the slave says 1, INIT.
+# The first frame is made by hand: BRD reads the register AL Status (0130h) of all slaves at once.
+# The working counter of the reply is the number of slaves; the status 1 means INIT.
 
 # %%
 request = pack([Datagram(Command.BRD, 0, 0x0130, bytes(2))])
@@ -49,8 +49,8 @@ assert request[:6] == BROADCAST
 print(f"{reply.wkc} slave, AL Status {reply.data.hex()}")
 
 # %% [markdown]
-# A master does the rest. It reads the EEPROM, from which it knows name, mailboxes and PDOs, and
-# takes the slave to PRE_OP, where the mailbox works. What the drive refuses is an abort code.
+# A master does the rest. It reads name, mailboxes and PDOs from the EEPROM, and takes the slave to
+# PRE_OP, in which the mailbox works. A refusal of the drive is an abort code.
 
 # %%
 master = EtherCatMaster(bus)
@@ -68,9 +68,9 @@ except SdoAbort as error:
     print(f"refused: {error}")
 
 # %% [markdown]
-# The same master that commands drives on CANopen and in memory works here too. Its port maps
-# controlword, target and mode to the outputs, takes the slave over SAFE_OP to OP, and from then on
-# a frame goes round each millisecond: LRW writes outputs and reads inputs in one.
+# The master that commands drives on CANopen and in memory also works here. Its port maps
+# controlword, target and mode to the outputs and takes the slave through SAFE_OP to OP. From then
+# on a frame circulates every millisecond: LRW writes outputs and reads inputs at once.
 
 # %%
 port = EtherCatPort(master, {"x": model}, units=Units(1e-6, 1e-6, "m"))
@@ -99,7 +99,7 @@ print(f"{bus.statistics.cycles} frames of process data, {master.wrong} with a wr
 assert abs(places[-1] - 0.1) < 1e-4
 
 # %% [markdown]
-# The picture: where the axis is, as the inputs told it, and the states of the drive from the
+# The picture shows the position of the axis from the inputs, and the states of the drive from the
 # statusword in the same frames.
 
 # %%

@@ -2,8 +2,8 @@
 # # 10 · Write your own task
 #
 # A flying shear cuts a belt without stopping it: the carriage has to catch up with a mark on the
-# moving belt and travel with it. The task is a class of some thirty lines; everything else, the
-# drive, vectors, checks, training, commands, comes with the base.
+# moving belt and travel with it. The task is a class of about thirty lines. Its base class provides
+# everything else: the drive, vectors, checks, training and commands.
 
 # %%
 import sys
@@ -29,10 +29,10 @@ from servogym.envs import (
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/10_write_your_own_task.png"))
 
 # %% [markdown]
-# Two functions, compiled like the drive: `act` turns the action into a set-point of the process
-# data, `judge` looks at what the drive sent back and says what the agent sees and gets. Numbers
-# have names; `EPISODE` is what the task remembers, and what begins with an underscore stays out
-# of `info`.
+# Two functions are compiled like the drive: `act` converts the action to a set-point in the process
+# data, and `judge` computes observation and reward from the answer of the drive. All numbers have
+# names. `EPISODE` is the memory of the task; names that begin with an underscore do not appear in
+# `info`.
 
 # %%
 BELT, FASTEST, WITHIN = 0.15, 0.5, 1e-3  # m/s, m/s, m
@@ -54,7 +54,7 @@ def judge(episode, rpdos, tpdos, observation):
 
 
 class FlyingShearEnv(ServoEnv):
-    """Catch up with a mark on a belt, and travel with it."""
+    """Catch up with a mark on a belt and travel with it."""
 
     ID, STEPS = "mylab/FlyingShear-v0", 200
     MODES = (Mode.CYCLIC_SYNC_VELOCITY, Mode.HOMING)
@@ -75,25 +75,25 @@ class FlyingShearEnv(ServoEnv):
 register(FlyingShearEnv)
 
 # %% [markdown]
-# Gymnasium's own checker finds nothing to say, and the same class runs as a vector. Saved as a
-# module `mylab.py`, `servogym train mylab:FlyingShear-v0` and all other commands take it.
+# Gymnasium's own checker accepts the environment, and the same class runs as a vector. If you save
+# it as a module `mylab.py`, `servogym train mylab:FlyingShear-v0` and all other commands accept it.
 
 # %%
 env = FlyingShearEnv()
 check_env(env, skip_render_check=True)
 
 # %% [markdown]
-# Two laws of motion control: a gain on the distance alone travels behind the mark by speed over
-# gain, as every velocity loop without feed-forward does; with the speed of the belt fed forward
-# nothing is left but what is not known of the drive.
+# This compares two control laws. A gain on the distance alone lags behind the mark by speed over
+# gain, as every velocity loop without feed-forward does. If the speed of the belt is fed forward,
+# only unknown properties of the drive leave an error.
 
 # %%
 GAIN = 15.0  # 1/s
 
 
 def law(forward):
-    def act(seen):
-        return clip((GAIN * 0.1 * seen.distance + forward * BELT) / FASTEST)
+    def act(observation):
+        return clip((GAIN * 0.1 * observation.distance + forward * BELT) / FASTEST)
 
     return act
 
@@ -121,7 +121,7 @@ for colour, (name, rows) in zip(("C1", "C0"), curves.items(), strict=True):
     panels[2].plot(time, reward, color=colour)
 panels[0].plot(time, 1e3 * mark, "k--", lw=0.9, label="the mark")
 panels[1].axhspan(-1e3 * WITHIN, 1e3 * WITHIN, color="C2", alpha=0.15)
-panels[0].set(ylabel="position (mm)", title="a task of one's own: travel with a mark on a belt")
+panels[0].set(ylabel="position (mm)", title="your own task: travel with a mark on a belt")
 panels[1].set(ylabel="mark minus carriage (mm)")
 panels[2].set(ylabel="reward", xlabel="time (s)")
 panels[0].legend()

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 11 · Write your own drive
 #
-# A drive model is a folder of tables. This one stands on `generic` and says only what differs:
-# slower cycles, a slower current loop, fewer modes, and an object of its own. No line of Python is
-# needed for it; every command and `linear_axis` take the folder.
+# A drive model is a folder of tables. This one is based on `generic` and only states the
+# differences: slower cycles, a slower current loop, fewer modes, and an object of its own. It needs
+# no line of Python; every command and `linear_axis` accept the folder.
 
 # %%
 import sys
@@ -24,11 +24,11 @@ from servogym.envs.masters.port import MachinePort
 picture = Path(next((a for a in sys.argv if a.endswith(".png")), "out/11_write_your_own_drive.png"))
 
 # %% [markdown]
-# `drive.toml` has identity, cycle times, capabilities and other defaults; the rows of
-# `objects.csv` add objects to those of the base, or change them where they are named again; empty
-# cells are those of the base. The last columns say where the manual has it: write them down, or
-# nobody will know later what was read and what was guessed. What differs from the standard in its
-# behaviour is a quirk, also with its source (`servogym drives NAME` lists those of a model).
+# `drive.toml` has identity, cycle times, capabilities and other defaults. The rows of `objects.csv`
+# add objects to those of the base, or change them if they exist; empty cells keep the values of the
+# base. The last columns give the section of the manual: fill them in, so that facts and guesses can
+# be told apart later. Behaviour that differs from the standard is a quirk, also with its source
+# (`servogym drives NAME` lists those of a model).
 
 # %%
 FILES = {
@@ -69,9 +69,9 @@ print(
 )
 
 # %% [markdown]
-# Its object answers like any other: a value out of range is refused with the abort code of the
-# standard, a mode that it does not have too, and the data sheet for other people's masters has the
-# object as well.
+# The new object behaves like any other: a value out of range is refused with the abort code of the
+# standard, as is a mode that the drive does not have. The EDS for other masters also contains the
+# object.
 
 # %%
 machines = {"generic": linear_axis("generic"), "workshop drive": linear_axis(folder)}
@@ -88,8 +88,8 @@ sheet = folder.with_suffix(".eds")
 print(eds.write(model, sheet), "objects in", sheet.name)
 
 # %% [markdown]
-# The same move on the same axis, with both. The axis is commissioned for the drive it has, so the
-# slower drive gets lower gains; what it follows worse is what its cycles cost.
+# Both drives make the same move on the same axis. Each axis is commissioned for its drive, so the
+# slower drive gets lower gains; its larger following error is the cost of its slower cycles.
 
 # %%
 figure, (way, error) = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
@@ -109,7 +109,7 @@ for colour, (name, machine) in zip(("C0", "C1"), machines.items(), strict=True):
     error.plot(data["time"], micrometres, color=colour, label=f"{name}: {peaks[name]:.0f} µm")
     cycle = 1e6 * x.model.cycle_time["position"]
     print(f"{name}: position cycle {cycle:g} µs, following error up to {peaks[name]:.0f} µm")
-way.set(ylabel="position (mm)", title="a drive of one's own beside the one it stands on")
+way.set(ylabel="position (mm)", title="your own drive and the one it is based on")
 error.set(xlabel="time (s)", ylabel="following error (µm)")
 for panel in (way, error):
     panel.grid(alpha=0.3)

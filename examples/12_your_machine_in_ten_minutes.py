@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 12 · Your machine in ten minutes
 #
-# `machines/hidden_axis.py` is a CANopen node in a process of its own, with payload and friction
-# that nobody in this lesson knows, and with soft loops. Three commands make its twin: an
-# experiment, a log of it, a fit.
+# `machines/hidden_axis.py` is a CANopen node in its own process, with soft loops, and with payload
+# and friction that this lesson does not know. Three commands make its twin: plan an experiment, log
+# it, and fit a machine to the log.
 
 # %%
 import csv
@@ -43,8 +43,8 @@ run(NODE, plan, log)
 servogym("twin", log, "--mechanics", "rigid", "-o", folder)
 
 # %% [markdown]
-# The twin is a machine like any other. Beside it stands the one of the data sheet, with the gains
-# that the node told by SDO.
+# The twin is a machine like any other. It is compared with the machine of the data sheet, with the
+# gains that the node reported by SDO.
 
 # %%
 machines = {"data sheet": linear_axis(), "twin": linear_axis(twin=folder)}
@@ -55,8 +55,8 @@ for name, value in twins.read(folder).parameters.items():
         print(f"{name}: {value.value:.4g} [{value.low:.4g}, {value.high:.4g}] {value.unit}")
 
 # %% [markdown]
-# Set-points of a new move go into each machine, in one call of `replay`. With the gains of the node
-# it says which torque the node will need.
+# One call of `replay` plays the set-points of a new move into a machine. With the gains of the node
+# it predicts the torque that the node will need.
 
 # %%
 RATED, UNIT = 1.27e-3, 1e-6  # Nm a per mille, m a position unit
@@ -69,7 +69,7 @@ words = np.concatenate([np.full(20, 6), np.full(20, 7), np.full(len(targets) + 6
 
 
 def play(machine, gains, offsets):
-    """Torque and its share for the demanded acceleration (per mille), one a set-point each."""
+    """Torque and its share for the demanded acceleration (per mille), for each set-point."""
     drive = machine.drives["x"]
     per = round(1e-3 / machine.cycle_time)
     machine.reset({"x": targets[0] * UNIT})
@@ -92,12 +92,12 @@ def play(machine, gains, offsets):
 
 
 none = np.zeros(len(targets))
-foretold = {name: play(machine, soft, none)[0] for name, machine in machines.items()}
+predicted = {name: play(machine, soft, none)[0] for name, machine in machines.items()}
 
 # %% [markdown]
-# A controller is trained on each of them: what the loops had to add in one try is fed forward as
-# torque offset (60B2h) in the next, feedback-error learning. In a simulation the loops may be
-# stiff while they teach, and the encoder without noise.
+# A controller is trained on each machine by feedback-error learning: the torque that the loops had
+# to add in one try is fed forward as torque offset (60B2h) in the next. In a simulation the loops
+# may be stiff during training, and the encoder has no noise.
 
 
 # %%
@@ -107,7 +107,7 @@ def smooth(values, width):
 
 
 def learn(machine, tries=3):
-    """Torque offsets (per mille), one a set-point."""
+    """Learn the torque offsets (per mille), one for each set-point."""
     parameters.apply(machine, {"encoder_noise": 0.0})
     offsets = none
     for _ in range(tries):
@@ -119,12 +119,12 @@ def learn(machine, tries=3):
 offsets = {"none": none} | {name: learn(machine) for name, machine in machines.items()}
 
 # %% [markdown]
-# Back to the node, which nobody has looked into: the same set-points, each time with what was
-# learned elsewhere. What counts is how far the axis lies off its set-points, beside a constant
-# delay.
+# Back to the node, whose parameters are still unknown: it gets the same set-points, each time with
+# the offsets learned on another machine. The result is the deviation of the axis from its
+# set-points, apart from a constant delay.
 
 # %%
-late = twins.read(folder).lag / 1e-3  # samples, from a set-point to where it shows
+late = twins.read(folder).lag / 1e-3  # samples from a set-point to its effect
 at = np.arange(len(targets))
 speed = np.gradient(targets.astype(float))
 errors, torques, far = {}, {}, {}
@@ -146,12 +146,12 @@ for name, values in offsets.items():
     print(f"{name:10s} {far[name]:6.1f} µm rms off the set-points")
 
 # %% [markdown]
-# What a machine foretells can be compared with what the node then did: the torque of the first
-# run, to which nothing had been added.
+# The prediction of a machine can be compared with the torque of the node in the first run, without
+# any offset.
 
 # %%
 wrong = {}
-for name, torque in foretold.items():
+for name, torque in predicted.items():
     there = np.interp(at - late + 1, at, torque)
     wrong[name] = float(np.sqrt(np.mean((there - torques["none"]) ** 2)))
     print(f"{name:10s} {wrong[name]:6.1f} per mille rms off the torque of the node")

@@ -1,1 +1,1 @@
-"""Exercises in drive control, judged on what happened: in the panel, in Python and by a command."""
+"""Exercises in drive control, judged by the behaviour of the drive, in the panel and in Python."""

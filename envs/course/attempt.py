@@ -15,26 +15,26 @@ from .condition import Look, holds
 from .exercise import Exercise, Step
 
 START_HOMING = 0x10  # bit 4 of the controlword in mode hm
-JUMP = 10  # position cycles between two looks; more have not passed under the judge's eyes
-SHIFT = 2.0  # mm or °: by how much elasticity and noise may move the reference
-# by these an exercise is measured: home offset, polarity, units, rated values, standstill
+JUMP = 10  # position cycles between two looks at most; a longer gap was not observed
+SHIFT = 2.0  # mm or °, by which elasticity and noise may move the reference
+# objects by which an exercise is measured: home offset, polarity, units, rated values, standstill
 RULER = frozenset((0x606F, 0x6070, 0x6075, 0x6076, 0x607C, 0x607E, *range(0x6089, 0x6098), 0x60A8,
                    0x60A9, 0x60AA, 0x60AB))
-# what a look depends on: fields of the record, and variables of the object dictionary
+# sources of a look: fields of the record, and variables of the object dictionary
 DISCRETE = ("state", "mode", "fault", "refused_command", "homed", "standstill")
 WORDS = ("controlword", "homing_method")
 MEASURED = (
     "position_actual_value", "velocity_actual_value", "torque_actual_value",
     "following_error_actual_value",
 )
-REFERENCE = frozenset(("homed", "homing"))  # keys of a goal in which an axis gets its reference
+REFERENCE = frozenset(("homed", "homing"))  # keys of a goal that gives an axis its reference
 
 
 class Observer:
-    """Observes a drive: its state, and which of its parameters have changed.
+    """Observes a drive: its state, and the parameters that have changed.
 
-    It compares the bytes of the parameters, so it sees a change whoever made it: a page, an SDO or
-    a PDO.
+    It compares the bytes of the parameters, so it notices every change, whether by a page, an SDO
+    or a PDO.
 
     Args:
         machine: the machine.
@@ -59,7 +59,7 @@ class Observer:
         self._owner = np.repeat(np.arange(len(sizes)), [size for *_, size in sizes])
         self._names = [name for name, *_ in sizes]
         self._bytes = np.frombuffer(slots[0].view, np.uint8)
-        # the record's own attributes take a microsecond each, columns a tenth
+        # an attribute of the record takes a microsecond, a column a tenth of it
         axes, self._index = np.asarray(self.drive.axes), self.drive.index
         self._joint, self._scale = int(machine.coupling(axis).qpos), scale
         self._axes = [axes[name] for name in DISCRETE]
@@ -68,7 +68,7 @@ class Observer:
         self.begin()
 
     def begin(self) -> None:
-        """Start counting: refusals, writes and the largest torque matter from here on."""
+        """Start counting refusals, writes and the largest torque."""
         self.drive.axis.refused_command = 0
         self._before = self._bytes[self._places].tobytes()
         self._key: tuple[int, ...] = ()
@@ -76,7 +76,7 @@ class Observer:
         self._peak = 0.0
 
     def look(self) -> Look:
-        """The present state of the drive."""
+        """Return the present state of the drive."""
         index, written = self._index, frozenset[str]()
         now = self._bytes[self._places].tobytes()
         if now != self._before:
@@ -87,19 +87,20 @@ class Observer:
             self._before = now
         key = tuple(int(column.item(index)) for column in (*self._axes, *self._words))
         if key != self._key:
-            self._key, self._told = key, self._tell()
+            self._key, self._discrete = key, self._named()
         position, velocity, torque, error = (float(column.item(index)) for column in self._measured)
         self._peak = max(self._peak, abs(torque))
         return Look(
-            self.machine.time, *self._told, position * self._position, velocity * self._velocity,
-            torque, self._peak, error * self._position, written, self._values,
+            self.machine.time, *self._discrete, position * self._position,
+            velocity * self._velocity, torque, self._peak, error * self._position, written,
+            self._values,
         )
 
     def datum(self, look: Look) -> float:
-        """Where the joint is when the drive shows 0 (mm or °), until something shifts it."""
+        """Return the joint position at which the drive shows 0 (mm or °)."""
         return float(self.machine.data.qpos[self._joint]) * self._scale - look.position
 
-    def _tell(self) -> tuple[str, str, str, str, str, bool, int, bool]:
+    def _named(self) -> tuple[str, str, str, str, str, bool, int, bool]:
         """The part of a look that consists of names, which changes rarely."""
         drive, axis = self.drive, self.drive.axis
         controlword, mode = int(axis.od.controlword), drive.mode
@@ -119,10 +120,10 @@ class Report:
         exercise: its name.
         done: whether all steps are done.
         step: number of steps that are done.
-        wrong: what was said of a wrong way, empty without one.
-        times: of the steps that are done (s since the exercise began).
-        hints: hints used.
-        predictions: for each question, whether it was answered rightly.
+        wrong: the message of a wrong approach, empty without one.
+        times: times of the steps that are done (s since the exercise began).
+        hints: number of hints used.
+        predictions: for each question, whether it was answered correctly.
     """
 
     exercise: str
@@ -138,8 +139,8 @@ class Attempt:
     """An exercise in progress on an axis of a machine.
 
     Args:
-        exercise: to be done.
-        machine: fresh, as `servogym.envs.plants.catalogue.power_on` leaves it.
+        exercise: the exercise.
+        machine: a fresh machine, as `servogym.envs.plants.catalogue.power_on` leaves it.
         axis: name of the drive.
         tell: called with a line when a step is done or lost.
 
@@ -159,8 +160,8 @@ class Attempt:
         self.predictions: list[bool] = []
         self._tell = tell
         self._predicted = False
-        self._time = 0.0  # s that the looks before counted
-        self._datum: float | None = None  # of the reference that the exercise has asked for
+        self._time = 0.0  # s, sum over the looks
+        self._datum: float | None = None  # of the reference that a goal has asked for
         exercise.begin.act(machine, axis)
         machine.step(2)
         self._observer = Observer(machine, axis)
@@ -229,7 +230,7 @@ class Attempt:
         now = self.machine.time
         passed, self._last = now - self._last, now
         if not 0.0 <= passed <= JUMP * self.machine.cycle_time:
-            self.lose("The machine was switched off and on: what had happened is lost.")
+            self.lose("The machine was switched off and on: the progress is lost.")
             return
         self._time += passed
         look = self._observer.look()
@@ -258,7 +259,7 @@ class Attempt:
         self._enter()
 
     def _measured_otherwise(self, look: Look) -> str:
-        """Why the numbers of the drive mean something else than they did; empty if they do not."""
+        """Explain why numbers of the drive have changed their meaning; empty if they have not."""
         if changed := look.written & self._ruler:
             row = self._observer.ruler[min(changed)]
             return (
@@ -272,7 +273,7 @@ class Attempt:
             return ""
         if abs(self._observer.datum(look) - self._datum) <= SHIFT:
             return ""
-        return "You made another place the reference: positions here count from the first one."
+        return "You made another position the reference: positions here count from the first one."
 
     def lose(self, why: str) -> None:
         """End the attempt and say why; an attempt that has already ended stays as it is."""

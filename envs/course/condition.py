@@ -14,7 +14,7 @@ A condition is a table of these keys, all of which have to hold at once:
 | ``moving`` | true or false | the axis moves (606Fh) |
 | ``position``, ``velocity`` | two numbers | mm and mm/s, or ° and °/s, lie between them |
 | ``torque`` | two numbers | the torque (per mille of rated) lies between them |
-| ``peak_torque`` | two numbers | its largest amount since the step began lies between them |
+| ``peak_torque`` | two numbers | its largest magnitude since the step began lies between them |
 | ``following_error`` | two numbers | 60F4h (mm or °) lies between them |
 | ``written`` | name, or a list | one of these objects has just changed its value |
 | ``objects`` | table of two numbers each | the values of these objects lie between them |
@@ -38,12 +38,12 @@ class Look:
     Args:
         time: of the machine (s).
         state, command, mode, fault, refused: names, empty for none.
-        homed, moving: whether it has a reference, and whether it moves.
-        homing: the homing method that is being carried out, 0 for none.
-        position, velocity, following_error: mm and mm/s, or ° and °/s.
-        torque, peak_torque: per mille of the rated torque.
-        written: objects whose value has changed since the look before.
-        values: of all parameters, by name (drive units).
+        homed, moving: whether the axis has a reference, and whether it moves.
+        homing: homing method that is being carried out, 0 for none.
+        position, velocity, following_error: values in mm and mm/s, or ° and °/s.
+        torque, peak_torque: values in per mille of the rated torque.
+        written: objects whose values have changed since the previous look.
+        values: values of all parameters by name (drive units).
     """
 
     time: float
@@ -114,7 +114,7 @@ def _text(key: str, value: Any) -> str:
 
 
 def any_of(value: Any) -> list[Any]:
-    """A list of one or several."""
+    """Return a list of one or several values."""
     return value if isinstance(value, list) else [value]
 
 
@@ -124,7 +124,7 @@ def _within(number: float, pair: list[float]) -> bool:
 
 CAUSES = {"": None} | {cause.name.lower(): cause for cause in Cause if cause}
 
-# key: what is wrong with a value of it, and whether it holds at a look
+# key: the check of its value, which returns an error or "", and whether it holds at a look
 KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] = {
     "state": (_named(State.__members__), lambda look, want: look.state in any_of(want)),
     "command": (_named(Command.__members__), lambda look, want: look.command in any_of(want)),
@@ -151,7 +151,7 @@ KEYS: dict[str, tuple[Callable[[str, Any], str], Callable[[Look, Any], bool]]] =
 
 
 def check(table: Any) -> dict[str, Any]:
-    """Check a condition of a file. Raises ValueError naming a part that could never hold."""
+    """Check a condition of a file. Raises ValueError for a part that could never hold."""
     if not isinstance(table, Mapping) or not table:
         raise ValueError(f"{table!r} is not a condition: use {', '.join(KEYS)}")
     for key, value in table.items():
@@ -163,5 +163,5 @@ def check(table: Any) -> dict[str, Any]:
 
 
 def holds(look: Look, condition: Mapping[str, Any]) -> bool:
-    """Whether a condition holds with all of its keys."""
+    """Return whether a condition holds with all of its keys."""
     return all(KEYS[key][1](look, want) for key, want in condition.items())

@@ -3,15 +3,15 @@
 An exercise is a file::
 
     title = "Stop it the right way"
-    about = "What it is about."
+    about = "The subject of the exercise."
     unit = 1                            # of the course
-    axis = "linear"                     # kind of machine it is made for
+    axis = "linear"                     # kind of machine
 
-    [[wrong]]                           # a way that is not meant in any step
+    [[wrong]]                           # an approach that is wrong in every step
     when = { written = "following_error_window" }
     say = "That hides the cause."
 
-    [begin]                             # what is done to a fresh machine, all optional
+    [begin]                             # changes to a fresh machine, all optional
     positions = { x = 0.12 }            # m or rad
     write = { profile_velocity = 200000 }
     disturb = { cable_drag = 130 }      # N
@@ -20,25 +20,25 @@ An exercise is a file::
     [[step]]
     text = "Enable the drive."
     hints = ["The transitions 2, 3 and 4.", "0006h, 0007h, 000Fh."]
-    begin = { write = { max_torque = 1200 } }          # done when the step begins
+    begin = { write = { max_torque = 1200 } }          # when the step begins
     goal = [{ command = "QUICK_STOP" }, { state = "SWITCH_ON_DISABLED" }]
-    throughout = { mode = "PROFILE_POSITION" }         # broken: the step is lost
+    throughout = { mode = "PROFILE_POSITION" }         # has to hold during the step
 
-    [step.predict]                                     # asked before the step can be done
+    [step.predict]                                     # asked before the step counts
     question = "Where does it come to rest?"
     options = ["At once", "After its ramp"]
     answer = 1
     why = "605Ah = 2 slows down on the quick stop ramp."
 
-    [[step.wrong]]                                     # a way that is not meant
+    [[step.wrong]]                                     # a wrong approach
     when = { command = "DISABLE_VOLTAGE" }
     say = "0000h takes the power away: the axis coasts."
 
 ``goal`` is a list of conditions (`condition`) that have to hold one after the other; the step is
-done when the last one holds. A wrong way ends the exercise, which then begins anew with a fresh
-machine. So does a change of what the exercise is measured by (units, polarity, home offset, rated
-values, standstill), unless a goal names that object, and another reference after the one that a
-goal asks for.
+done when the last one holds. A wrong approach ends the exercise, which then begins again with a
+fresh machine. It also ends when an object changes by which it is measured (units, polarity, home
+offset, rated values, standstill), unless a goal names that object, or when the axis gets another
+reference after the one that a goal asks for.
 """
 
 import tomllib
@@ -74,8 +74,8 @@ class Begin:
     """Changes to a machine at the beginning of an exercise or a step.
 
     Args:
-        positions: of joints (m or rad), by drive; power off and on again there.
-        write: objects by name (drive units).
+        positions: positions of joints (m or rad) by drive, at which the power is switched on again.
+        write: values of objects by name (drive units).
         inject: causes of faults.
         disturb: sizes of `DISTURBANCES` by name.
     """
@@ -103,10 +103,10 @@ class Prediction:
     """A question to be answered before the run shows the answer.
 
     Args:
-        question: what will happen.
-        options: to choose from.
-        answer: number of the right one, from 0.
-        why: told afterwards.
+        question: the question.
+        options: possible answers.
+        answer: number of the correct one, from 0.
+        why: explanation, shown afterwards.
     """
 
     question: str
@@ -120,13 +120,13 @@ class Step:
     """One step of an exercise.
 
     Args:
-        text: what.
+        text: the instruction.
         goal: conditions that have to hold one after the other.
-        hints: the first one least telling.
-        throughout: a condition that has to hold all the time, or nothing.
-        wrong: conditions that must never hold, and what is said then.
-        predict: a question before.
-        begin: what is done to the machine first.
+        hints: hints, the vaguest first.
+        throughout: condition that has to hold during the whole step, or empty.
+        wrong: conditions that must never hold, each with a message.
+        predict: question to be answered first, or None.
+        begin: changes to the machine at the beginning.
     """
 
     text: str
@@ -143,12 +143,12 @@ class Exercise:
     """An exercise of several steps.
 
     Args:
-        name: of its file.
-        title, about: for people.
-        unit: of the course, 0 for none.
-        axis: kind of machine it is made for, key of `servogym.envs.plants.catalogue.AXES`.
-        begin: what is done to a fresh machine.
-        steps: in order.
+        name: name of its file, without the suffix.
+        title, about: title and description.
+        unit: unit of the course, 0 for none.
+        axis: kind of machine, key of `servogym.envs.plants.catalogue.AXES`.
+        begin: changes to a fresh machine.
+        steps: the steps in their order.
     """
 
     name: str
@@ -161,7 +161,7 @@ class Exercise:
 
     @property
     def asked_for(self) -> set[str]:
-        """The objects that its goals name."""
+        """Names of the objects in its goals."""
         return {
             name for step in self.steps for goal in step.goal
             for name in (*any_of(goal.get("written", [])), *goal.get("objects", ()))
@@ -172,7 +172,7 @@ def load(path: str | Path) -> Exercise:
     """Read an exercise from a file.
 
     Raises:
-        ValueError: names file, step, and what is wrong.
+        ValueError: an error in the file, with file, step and key.
     """
     path = Path(path)
     try:
@@ -191,7 +191,7 @@ def load(path: str | Path) -> Exercise:
 
 
 def load_all(folder: str | Path = SHIPPED) -> list[Exercise]:
-    """The exercises of a folder by file name. Raises ValueError if there are none."""
+    """Return the exercises of a folder by file name. Raises ValueError if there are none."""
     files = sorted(Path(folder).glob("*.toml"))
     if not files:
         raise ValueError(f"--lessons {folder}: there is no .toml file in it")
@@ -199,7 +199,7 @@ def load_all(folder: str | Path = SHIPPED) -> list[Exercise]:
 
 
 def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
-    """An exercise by its name or the path of its file. Raises ValueError if there is none."""
+    """Return an exercise by its name or its path. Raises ValueError if it does not exist."""
     if name.endswith(".toml"):
         return load(name)
     known = {path.stem: path for path in sorted(Path(folder).glob("*.toml"))}
@@ -209,7 +209,7 @@ def named(name: str, folder: str | Path = SHIPPED) -> Exercise:
 
 
 def _wrong(row: Mapping[str, Any]) -> tuple[tuple[dict[str, Any], str], ...]:
-    """The wrong ways of an exercise or a step."""
+    """Read the wrong approaches of an exercise or a step."""
     rows = row.get("wrong", [])
     for each in rows:
         _known(each, ("when", "say"), "wrong: ")

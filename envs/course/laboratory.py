@@ -22,11 +22,11 @@ class Laboratory:
     ''
 
     Args:
-        exercise: name of a shipped one, path of a file, or an `Exercise`.
-        drive: model or folder.
+        exercise: name of a shipped exercise, path of a file, or an `Exercise`.
+        drive: drive model by name or folder.
 
     Raises:
-        ValueError: there is no such exercise, or the machine cannot begin it.
+        ValueError: the exercise does not exist, or the machine cannot begin it.
     """
 
     def __init__(self, exercise: str | Exercise, drive: str = "generic"):
@@ -45,7 +45,7 @@ class Laboratory:
 
     @property
     def drive(self) -> Drive:
-        """The drive to be commanded; time advances with `wait` or the master."""
+        """The drive of the axis; time advances with `wait` or the master."""
         return self.machine.drives[self.axis]
 
     @property
@@ -64,7 +64,7 @@ class Laboratory:
         self.master.wait(seconds)
 
     def wait_until(self, condition: Callable[[], bool], timeout: float = 10.0) -> None:
-        """Advance time until a condition holds. Raises TimeoutError."""
+        """Advance time until a condition holds. Raises TimeoutError after `timeout` (s)."""
         for _ in range(round(timeout / self.machine.cycle_time)):
             if condition():
                 return
@@ -72,7 +72,7 @@ class Laboratory:
         raise TimeoutError(f"not within {timeout:g} s: {self.drive.describe()}")
 
     def predict(self, option: int) -> bool:
-        """Answer the question of the step; returns whether the answer is right."""
+        """Answer the question of the step; -> whether the answer is correct."""
         return self.attempt.predict(option)
 
 
@@ -83,12 +83,12 @@ def _chosen(exercise: str | Exercise) -> Exercise:
 def check(file: str | Path, drive: str = "generic") -> Report:
     """Run a solution and judge it.
 
-    A solution is a Python file with ``EXERCISE``, a name, and ``solve(laboratory)``. It is run as
-    code: check only files whose author you trust, or check them where they can do no harm.
+    A solution is a Python file with ``EXERCISE``, a name, and ``solve(laboratory)``. It runs as
+    code, so check only files whose author you trust, or check them where they can do no harm.
 
     Raises:
         ValueError: the file has no EXERCISE or no `solve`.
-        Exception: whatever the solution raises.
+        Exception: any exception of the solution.
     """
     text = Path(file).read_text(encoding="utf-8")
     names: dict = {"__name__": "solution", "__file__": str(file)}

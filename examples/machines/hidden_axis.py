@@ -1,11 +1,11 @@
-"""A machine nobody knows, for lesson 12: a CANopen node in a process of its own.
+"""An unknown machine for lesson 12: a CANopen node in its own process.
 
     python hidden_axis.py SET_POINTS.csv MOVES.log [TORQUE_OFFSETS.csv]
 
-It takes a table with one set-point of csp a millisecond, as `servogym twin --plan` writes it, and
-plays the master too: it maps PDOs by SDO, enables the drive and sends a set-point with each SYNC.
-What passes on the bus is logged as candump does. Payload and friction come from SEED, and its
-loops are as soft as a careful service engineer leaves them.
+It reads a table with one csp set-point per millisecond, as `servogym twin --plan` writes it, and
+also plays the master: it maps PDOs by SDO, enables the drive and sends a set-point with each SYNC.
+The bus is logged in the format of candump. SEED determines payload and friction, and the loops are
+as soft as a careful service engineer leaves them.
 """
 
 import csv
@@ -23,7 +23,7 @@ from servogym.envs import linear_axis
 from servogym.envs.engine import parameters
 
 SEED, NODE, NOISE = 12, 1, 0.4e-6  # m, standard deviation of the encoder
-SOFT = {"velocity_gain": 0.3, "integral_time": 2.0, "position_gain": 0.4}  # of commissioned ones
+SOFT = {"velocity_gain": 0.3, "integral_time": 2.0, "position_gain": 0.4}  # times commissioned
 RPDO = ((0x6040, 16), (0x607A, 32), (0x60B2, 16))
 TPDO = ((0x6041, 16), (0x6064, 32), (0x6077, 16))
 CSP = 8
@@ -62,7 +62,7 @@ def write(frame, received):
 
 
 def send(identifier, data):
-    """A frame of the master, a SYNC, and what the node answers."""
+    """Send a frame of the master and a SYNC, and log the answers of the node."""
     for frame in (Frame(identifier, data), Frame(Base.SYNC)):
         write(frame, False)
     link.send(Frame(identifier, data), bus.time)
@@ -87,9 +87,9 @@ for base, mapping, cob, rows in ((0x1400, 0x1600, 0x200, RPDO), (0x1800, 0x1A00,
     download(base, 2, 1, 1)
     download(base, 1, cob + NODE, 4)
 download(0x6060, 0, CSP, 1)
-for index, subindex in ((0x60F9, 1), (0x60F9, 2), (0x60FB, 1)):  # its gains, which it may tell
+for index, subindex in ((0x60F9, 1), (0x60F9, 2), (0x60FB, 1)):  # upload its gains
     send(0x600 + NODE, struct.pack("<BHB", 0x40, index, subindex).ljust(8, b"\0"))
-axis = machine.drives["x"].axis  # an absolute encoder: it knows where it is
+axis = machine.drives["x"].axis  # with an absolute encoder, which needs no homing
 axis.zero_counts = round(
     float(axis.counts) - targets[0] * 1e-6 * machine.joint("x")[0] / float(axis.rad_per_increment)
 )

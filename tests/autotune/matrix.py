@@ -43,12 +43,12 @@ HEAD = """# Tuning from detuned gains
 `tune` starts from gains that are 0.3 and 3 times those of the commissioned axis and tunes for
 margins of 6 dB and 35°. The cases are each member of the family with each servo drive, with 100 kg
 or with a payload on a spring that resonates at 20, 45 or 80 Hz (`generic`; there the commissioned
-gains are those of the rule, which has not looked for the resonance), and each drive of a gantry.
-The following error is measured on the move that `tune` shows, with the commissioned gains, before
-and after (for rotary axes in µrad), and so is the time until the position stays in its window.
+gains are those of the rule, which ignores the resonance), and each drive of a gantry. The
+following error is measured on the move that `tune` shows, with the commissioned gains, before and
+after (for rotary axes in µrad), and so is the time until the position stays in its window.
 
 ```sh
-python tests/autotune/matrix.py docs/results/tuning.md   # plays what is missing in the table
+python tests/autotune/matrix.py docs/results/tuning.md   # runs the cases missing in the table
 ```
 
 """

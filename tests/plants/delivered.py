@@ -376,15 +376,15 @@ then moved over the stroke at its full profile. An axis *moves* if the following
 window, the profile velocity is reached, the axis comes to rest in the position window, and all
 loops keep 6 dB and 35°, by the model and as `servogym bode` measures them. A refusal states in one
 sentence which load this motor and this drive can move; that load was tested as well. An inverter
-has no position control: it is enabled and turns to and fro. `tune` is run with the usual and the
-heaviest load, or with the load that a refusal names instead.
+has no position control; it is enabled and turned back and forth. `tune` is run with the usual and
+the heaviest load, or with the load that a refusal names instead.
 
 ```sh
 python tests/plants/delivered.py docs/results/commissioning.md
 ```
 
-The command keeps what it has played and goes on from there. It plays a cell again once the axis is
-commissioned differently, down to a bit, so all rows are of one commissioning.
+The command stores the cells that it has run and continues from there. It runs a cell again if the
+axis is commissioned differently, even in a single bit, so all rows belong to one commissioning.
 
 """
 
@@ -443,8 +443,9 @@ def sentences(outcomes):
         most = max(tuned, key=lambda o: abs(o.changed))
         said.append(
             f"- `tune` changes the settling time of {sum(abs(o.changed) <= LIKE for o in tuned)} "
-            f"of {len(tuned)} axes by 10 % at most; most by {100 * most.changed:+.1f} % "
-            f"({most.cell}: {most.settled[0]:.3f} s, then {most.settled[1]:.3f} s)."
+            f"of {len(tuned)} axes by 10 % at most; the largest change is "
+            f"{100 * most.changed:+.1f} % ({most.cell}: {most.settled[0]:.3f} s, "
+            f"then {most.settled[1]:.3f} s)."
         )
     said += [
         f"- `tune` ends in a fault on the trial move of {o.cell}"
