@@ -1,13 +1,13 @@
-"""PPO in one file, on many drives at once: nothing is hidden, everything may be changed.
+"""PPO in one file, on many drives at once: nothing is hidden, and everything can be changed.
 
     python examples/learning/ppo.py --steps 400000 --seed 1 --out out/ppo
 
-Proximal policy optimisation (Schulman et al. 2017) as CleanRL writes it: rollouts of a vector of
-environments, advantages (GAE, Schulman et al. 2016), some epochs of clipped gradients, and again.
-The hyper-parameters are those of `servogym train LinearAxis-v0`. Needs `servogym[train]` for torch.
-With ``--device cuda`` environments, nets and all that is learned from stay on a GPU; so does
-``--device cpu``, to try it, where mujoco-warp steps on a core (`servogym[gpu]`).
-The folder gets `curve.csv`, `weights.npz` (arrays, nothing pickled) and `curve.png`.
+Proximal policy optimisation (Schulman et al. 2017) in the style of CleanRL: rollouts of a vector of
+environments, advantages (GAE, Schulman et al. 2016), and some epochs of clipped gradients, repeated
+until all steps are done. The hyper-parameters are those of `servogym train LinearAxis-v0`. It needs
+`servogym[train]` for torch. With ``--device cuda`` environments, networks and data stay on a GPU.
+``--device cpu`` does the same on a core, where mujoco-warp steps the physics (`servogym[gpu]`). The
+folder gets `curve.csv`, `weights.npz` (arrays, nothing pickled) and `curve.png`.
 """
 
 import argparse
@@ -28,38 +28,40 @@ FIXED = 20_000_000  # seed of the episodes of an evaluation: those of `servogym 
 
 @dataclass
 class Arguments:
-    """Each is an option of the command line."""
+    """The options of the command line."""
 
     env: str = "LinearAxis-v0"
-    steps: int = 400_000  # of all environments together
+    steps: int = 400_000  # sum over all environments
     seed: int = 1
     out: str = "out/ppo"
     envs: int = 64
     rollout: int = 64  # steps of an environment between two updates
     batch: int = 512
     epochs: int = 5
-    rate: float = 5e-4  # of learning
+    rate: float = 5e-4  # learning rate
     gamma: float = 0.98
     decay: float = 0.95  # lambda of the advantages
-    clip: float = 0.2  # of the ratio of probabilities
+    clip: float = 0.2  # range of the ratio of probabilities
     value_weight: float = 0.5
     longest_gradient: float = 0.5
-    log_std: float = -3.0  # at first; at rest within the tolerance there is no room for noise
+    log_std: float = -3.0  # initial value; near the goal there is no room for much noise
     evaluate: int = 50_000  # steps between two evaluations
-    device: str = ""  # of warp, for environments and nets; none: the cores
+    device: str = ""  # warp device of environments and networks; empty: the cores
 
 
 def make(name: str, n: int, **arguments):
-    """Environments that begin anew in the step that ends an episode; they see their last action."""
+    """Make environments that reset in the step that ends an episode, with the previous action."""
     return gymnasium.make_vec(
         f"servogym.envs:servogym/{name}", n, vectorization_mode="vector_entry_point",
         autoreset_mode=AutoresetMode.SAME_STEP, previous_action=True, **arguments,
     )
 
 
-def net(seen: int, told: int, gain: float) -> nn.Sequential:
-    """Two hidden layers of 64, initialised orthogonally."""
-    layers = [nn.Linear(seen, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, told)]
+def net(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+    """Make a network with two hidden layers of 64, initialised orthogonally."""
+    layers = [
+        nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs)
+    ]
     for layer, scale in zip(layers[::2], (math.sqrt(2), math.sqrt(2), gain), strict=True):
         nn.init.orthogonal_(layer.weight, scale)
         nn.init.zeros_(layer.bias)
@@ -67,22 +69,22 @@ def net(seen: int, told: int, gain: float) -> nn.Sequential:
 
 
 class Agent(nn.Module):
-    """Mean and standard deviation of the actions, and the value of what is seen."""
+    """Mean and standard deviation of the actions, and the value of an observation."""
 
-    def __init__(self, seen: int, actions: int, log_std: float):
+    def __init__(self, inputs: int, actions: int, log_std: float):
         super().__init__()
-        self.actor, self.critic = net(seen, actions, 0.01), net(seen, 1, 1.0)
+        self.actor, self.critic = net(inputs, actions, 0.01), net(inputs, 1, 1.0)
         self.log_std = nn.Parameter(torch.full((actions,), log_std))
 
-    def policy(self, seen: torch.Tensor) -> Normal:
-        return Normal(self.actor(seen), self.log_std.exp())
+    def policy(self, observation: torch.Tensor) -> Normal:
+        return Normal(self.actor(observation), self.log_std.exp())
 
-    def value(self, seen: torch.Tensor) -> torch.Tensor:
-        return self.critic(seen)[..., 0]
+    def value(self, observation: torch.Tensor) -> torch.Tensor:
+        return self.critic(observation)[..., 0]
 
 
 class Running:
-    """Mean and variance of all that has been seen (Chan, Golub, LeVeque 1979)."""
+    """Running mean and variance of data (Chan, Golub, LeVeque 1979)."""
 
     def __init__(self, shape: tuple[int, ...] = (), device: torch.device | str = "cpu"):
         exact = {"dtype": torch.float64, "device": device}
@@ -97,116 +99,119 @@ class Running:
         self.variance = (squares + away**2 * self.count * n / total) / total
         self.mean, self.count = self.mean + away * n / total, total
 
-    def __call__(self, seen: torch.Tensor) -> torch.Tensor:
-        scaled = (seen - self.mean) / (self.variance + 1e-8).sqrt()
+    def __call__(self, observation: torch.Tensor) -> torch.Tensor:
+        scaled = (observation - self.mean) / (self.variance + 1e-8).sqrt()
         return scaled.clip(-10.0, 10.0).float()
 
 
 @torch.no_grad()
 def evaluate(agent: Agent, scale: Running, envs) -> float:
-    """Mean return of the fixed episodes, without exploration; they are on the cores."""
-    seen, _ = envs.reset(seed=FIXED)
+    """Return the mean return of the fixed episodes on the cores, without exploration."""
+    observation, _ = envs.reset(seed=FIXED)
     returns, active = np.zeros(envs.num_envs), np.ones(envs.num_envs, bool)
     while active.any():
-        there = torch.as_tensor(seen, device=scale.mean.device)
-        actions = agent.actor(scale(there)).clip(-1.0, 1.0).cpu().numpy()
-        seen, rewards, ends, truncations, _ = envs.step(actions)
+        inputs = torch.as_tensor(observation, device=scale.mean.device)
+        actions = agent.actor(scale(inputs)).clip(-1.0, 1.0).cpu().numpy()
+        observation, rewards, ends, truncations, _ = envs.step(actions)
         returns += active * rewards
         active &= ~(ends | truncations)
     return float(returns.mean())
 
 
 def train(given: Arguments) -> list[tuple[int, float]]:
-    """-> steps and mean return of each evaluation."""
+    """Train an agent; -> steps and mean return of each evaluation."""
     torch.manual_seed(given.seed)
-    torch.set_num_threads(1)  # with nets this small, a second one costs more than it brings
-    on = {"device": given.device} if given.device else {}
-    envs, judged = make(given.env, given.envs, **on), make(given.env, 16)
-    seen = torch.as_tensor(envs.reset(seed=given.seed)[0])
-    device = seen.device  # all below is there
+    torch.set_num_threads(1)  # for small networks a second thread costs more than it gains
+    options = {"device": given.device} if given.device else {}
+    envs, test_envs = make(given.env, given.envs, **options), make(given.env, 16)
+    observation = torch.as_tensor(envs.reset(seed=given.seed)[0])
+    device = observation.device  # of all tensors below
     (width,), (actions,) = envs.single_observation_space.shape, envs.single_action_space.shape
     agent = Agent(width, actions, given.log_std).to(device)
     optimiser = torch.optim.Adam(agent.parameters(), lr=given.rate, eps=1e-5)
     scale, earned = Running((width,), device), Running((), device)
     running = torch.zeros(given.envs, dtype=torch.float64, device=device)
     shape = given.rollout, given.envs
-    seen_all = torch.zeros(*shape, width, device=device)
-    actions_all = torch.zeros(*shape, actions, device=device)
-    chances, values, rewards_all, ends_all = (torch.zeros(shape, device=device) for _ in range(4))
-    curve, done = [(0, evaluate(agent, scale, judged))], 0
+    observations = torch.zeros(*shape, width, device=device)
+    actions_taken = torch.zeros(*shape, actions, device=device)
+    log_probs, values, rewards_scaled, ended = (torch.zeros(shape, device=device) for _ in range(4))
+    curve, done = [(0, evaluate(agent, scale, test_envs))], 0
     while done < given.steps:
         for t in range(given.rollout):
-            scale.update(seen)
-            seen_all[t] = scale(seen)
+            scale.update(observation)
+            observations[t] = scale(observation)
             with torch.no_grad():
-                policy = agent.policy(seen_all[t])
-                actions_all[t] = policy.sample()
-                chances[t] = policy.log_prob(actions_all[t]).sum(-1)
-                values[t] = agent.value(seen_all[t])
-            *told, infos = envs.step(actions_all[t].clip(-1, 1))
-            seen, rewards, ends, truncations = (torch.as_tensor(x, device=device) for x in told)
+                policy = agent.policy(observations[t])
+                actions_taken[t] = policy.sample()
+                log_probs[t] = policy.log_prob(actions_taken[t]).sum(-1)
+                values[t] = agent.value(observations[t])
+            *results, infos = envs.step(actions_taken[t].clip(-1, 1))
+            observation, rewards, ends, truncations = (
+                torch.as_tensor(result, device=device) for result in results
+            )
             over = ends | truncations
             running = given.gamma * running + rewards
             earned.update(running)
             running[over] = 0.0
-            rewards_all[t] = rewards / (earned.variance + 1e-8).sqrt()
-            if truncations.any():  # time is up, but what would have followed has a value
+            rewards_scaled[t] = rewards / (earned.variance + 1e-8).sqrt()
+            if truncations.any():  # the future of a truncated episode has a value
                 last = torch.as_tensor(infos["final_obs"], device=device)[truncations]
                 with torch.no_grad():
-                    rewards_all[t, truncations] += given.gamma * agent.value(scale(last))
-            ends_all[t] = over
+                    rewards_scaled[t, truncations] += given.gamma * agent.value(scale(last))
+            ended[t] = over
         done += given.rollout * given.envs
         with torch.no_grad():
-            following = agent.value(scale(seen))
+            following = agent.value(scale(observation))
         advantages, advantage = torch.zeros_like(values), torch.zeros_like(following)
         for t in reversed(range(given.rollout)):
-            on = 1.0 - ends_all[t]
-            surprise = rewards_all[t] + given.gamma * following * on - values[t]
-            advantage = surprise + given.gamma * given.decay * on * advantage
+            ongoing = 1.0 - ended[t]
+            delta = rewards_scaled[t] + given.gamma * following * ongoing - values[t]
+            advantage = delta + given.gamma * given.decay * ongoing * advantage
             advantages[t], following = advantage, values[t]
         update(agent, optimiser, given, [
             part.flatten(0, 1)
-            for part in (seen_all, actions_all, chances, advantages, advantages + values)
+            for part in (observations, actions_taken, log_probs, advantages, advantages + values)
         ])
         if done // given.evaluate > (done - given.rollout * given.envs) // given.evaluate:
-            curve.append((done, evaluate(agent, scale, judged)))
+            curve.append((done, evaluate(agent, scale, test_envs)))
             print(f"{done} steps: {curve[-1][1]:.1f}", flush=True)
     envs.close()
-    judged.close()
-    keep(Path(given.out), agent, scale, curve)
+    test_envs.close()
+    save(Path(given.out), agent, scale, curve)
     return curve
 
 
 def update(agent: Agent, optimiser, given: Arguments, data) -> None:
-    """Some epochs of gradients on what one rollout has brought."""
-    seen, actions, chances, advantages, returns = data
+    """Run some epochs of gradient steps on the data of one rollout."""
+    observations, actions, log_probs, advantages, returns = data
     for _ in range(given.epochs):
-        drawn = torch.randperm(len(seen), device=seen.device)
-        for rows in drawn.chunk(max(len(seen) // given.batch, 1)):
-            policy = agent.policy(seen[rows])
-            ratio = (policy.log_prob(actions[rows]).sum(-1) - chances[rows]).exp()
+        drawn = torch.randperm(len(observations), device=observations.device)
+        for rows in drawn.chunk(max(len(observations) // given.batch, 1)):
+            policy = agent.policy(observations[rows])
+            ratio = (policy.log_prob(actions[rows]).sum(-1) - log_probs[rows]).exp()
             gain = advantages[rows]
             gain = (gain - gain.mean()) / (gain.std() + 1e-8)
             clipped = ratio.clip(1.0 - given.clip, 1.0 + given.clip)
             loss = -torch.min(gain * ratio, gain * clipped).mean()
-            loss += given.value_weight * ((agent.value(seen[rows]) - returns[rows]) ** 2).mean()
+            error = agent.value(observations[rows]) - returns[rows]
+            loss += given.value_weight * (error**2).mean()
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), given.longest_gradient)
             optimiser.step()
 
 
-def keep(folder: Path, agent: Agent, scale: Running, curve: list[tuple[int, float]]) -> None:
-    """Weights as arrays, the curve as a table and as a picture."""
+def save(folder: Path, agent: Agent, scale: Running, curve: list[tuple[int, float]]) -> None:
+    """Write the weights as arrays, and the curve as a table and a picture."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    kept = {"mean": scale.mean, "variance": scale.variance, **agent.state_dict()}
+    weights = {"mean": scale.mean, "variance": scale.variance, **agent.state_dict()}
     np.savez(
-        folder / "weights.npz", **{name: tensor.cpu().numpy() for name, tensor in kept.items()}
+        folder / "weights.npz", **{name: tensor.cpu().numpy() for name, tensor in weights.items()}
     )
     with (folder / "curve.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("steps", "return"), *curve])
