@@ -36,6 +36,21 @@ def test_a_wrapper_is_copied_in_mid_episode_with_what_is_in_it(made, again):
     np.testing.assert_array_equal(steps(env), steps(other))
 
 
+def test_a_snapshot_continues_alike_each_time_also_with_what_is_drawn_later():
+    env = RotaryAxisEnv(randomise={"friction": (0.5, 2.0)})
+    env.reset(seed=1)
+    steps(env)
+    snapshot, runs = env.snapshot(), []
+    for other in (env, env, copy.deepcopy(env)):
+        other.restore(snapshot)
+        observations = steps(other)
+        later, info = other.reset()
+        runs.append(np.concatenate([*observations, later, [*info["parameters"].values()]]))
+        assert other.np_random_seed == 1
+    np.testing.assert_array_equal(runs[0], runs[1])
+    np.testing.assert_array_equal(runs[0], runs[2])
+
+
 @pytest.mark.parametrize("again", [copy.deepcopy, pickle.dumps])
 def test_what_a_policy_remembers_is_not_copied_and_says_so(again):
     vector = ResidualVectorEnv(LinearAxisEnv, 3, residual="ruckig", bounds=[0.1], threads=2)
