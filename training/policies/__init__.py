@@ -2,8 +2,8 @@
 
 A policy is made for one environment from its data sheet (`datasheet.Datasheet`), receives
 observations and returns actions. It has no access to the physics or to randomly drawn parameters.
-Two entries are not such objects: `BuiltIn` stands for a homing method of the drive, which runs
-instead of an agent, and `Bound` for a limit that no policy can exceed.
+Two entries are not such objects: `BuiltIn` represents a homing method of the drive, which runs
+instead of an agent, and `Bound` a limit that no policy can exceed.
 """
 
 import os
@@ -72,13 +72,13 @@ class Policy(Protocol):
 class Baseline(NamedTuple):
     """A row of the table. Each task lists the rows that it offers in its ``POLICIES``."""
 
-    make: Callable[..., Any]  # of a data sheet and a seed
+    make: Callable[..., Any]  # from a data sheet and a seed
     what: str
-    arguments: Mapping[str, Any] = MappingProxyType({})  # that its environment has to have
-    face: str = SETPOINT  # of the actions it gives
-    # makes of the environment itself: knows what was drawn, or rehearses it; no rival of others
+    arguments: Mapping[str, Any] = MappingProxyType({})  # needed by its environment
+    face: str = SETPOINT  # of its actions
+    # It is made from the environment, knows what was drawn or rehearses it, and does not compete.
     informed: bool = False
-    shapes: bool = False  # the path for a resonance: of no use where nothing swings
+    shapes: bool = False  # its path is shaped for a resonance, which the machine has to have
 
 
 POLICIES: dict[str, Baseline] = {
@@ -92,93 +92,99 @@ POLICIES: dict[str, Baseline] = {
     ),
     "ruckig": Baseline(Profile, "time-optimal at the drive's limits"),
     "ruckig+zv": Baseline(
-        partial(Profile, shapers=1), "the same, shaped for the nominal resonance", shapes=True
+        partial(Profile, shapers=1), "ruckig through a ZV shaper for the nominal resonance",
+        shapes=True,
     ),
     "ruckig+zvd": Baseline(
-        partial(Profile, shapers=2), "shaped twice, less particular about it", shapes=True
+        partial(Profile, shapers=2), "ruckig through a ZVD shaper: slower, less sensitive",
+        shapes=True,
     ),
     "ruckig+ei": Baseline(
         partial(Profile, shapers=1, shape=extra_insensitive),
-        "extra-insensitive: 5 % are allowed, over more of it", shapes=True,
+        "ruckig through an extra-insensitive shaper, which leaves 5 % of the vibration",
+        shapes=True,
     ),
     "s_curve": Baseline(
         SCurve, "pp profile with the jerk time of one period of the resonance", shapes=True
     ),
     "ruckig+notch": Baseline(
         partial(Profile, shapers=1, shape=notched),
-        "through a notch filter at that resonance", shapes=True,
+        "ruckig through a notch filter at the nominal resonance", shapes=True,
     ),
     "tuned_ruckig": Baseline(TunedRuckig, "ruckig with torque and jerk fitted by the tuner"),
     "identified+zv": Baseline(
-        IdentifiedZv, "shaped for the resonance identified in the first motion", shapes=True
+        IdentifiedZv, "ruckig shaped for the resonance identified in the first motion", shapes=True
     ),
     "identified+zvd": Baseline(
-        IdentifiedZvd, "the same, shaped twice, less particular about it", shapes=True
+        IdentifiedZvd, "identified+zv with a ZVD shaper: slower, less sensitive", shapes=True
     ),
     "ruckig+ff": Baseline(RuckigFeedForward, "ruckig with inertia and friction feed-forward"),
     "lqr": Baseline(Lqr, "state feedback from the sensor of the load"),
-    "adaptive_lqr": Baseline(AdaptiveLqr, "the same, with the resonance identified as it moves"),
+    "adaptive_lqr": Baseline(AdaptiveLqr, "lqr with the resonance identified as it moves"),
     "mpc": Baseline(Predictive, "model predictive control with the limits, by OSQP"),
     "proportional": Baseline(Proportional, "velocity from the distance"),
     "tuned_proportional": Baseline(
-        TunedProportional, "the same with a braking curve, by numbers of the tuner"
+        TunedProportional, "proportional with a braking curve and numbers of the tuner"
     ),
     "pd": Baseline(ProportionalDifferential, "torque from distance and velocity", {"mode": "cst"}),
     "feed_forward": Baseline(FeedForward, "inertia and friction of the datasheet"),
     "adaptive_feed_forward": Baseline(
-        AdaptiveFeedForward, "the same with mass and friction identified, and an outer loop"
+        AdaptiveFeedForward, "feed_forward with mass and friction identified, and an outer loop"
     ),
     "leading_feed_forward": Baseline(
-        LeadingFeedForward, "the same with the lag of late set-points identified, and led by it"
+        LeadingFeedForward, "adaptive_feed_forward with set-points that lead by the identified lag"
     ),
     "basis_feed_forward": Baseline(
-        BasisFeedForward, "the same with corrections fitted to what iterative learning finds"
+        BasisFeedForward,
+        "leading_feed_forward with corrections fitted to the results of iterative learning",
     ),
     "disturbance_observer": Baseline(
-        DisturbanceObserver, "what the nominal model does not explain fed forward, an outer loop"
+        DisturbanceObserver, "feed_forward with the estimated disturbance, and an outer loop"
     ),
     "iterative_learning": Baseline(
         repeated, "corrections learned in rehearsals of the same motion", informed=True
     ),
     "search": Baseline(search_policy, "fast, back off, slow"),
-    "tuned_search": Baseline(TunedSearch, "the same at speeds of the tuner"),
+    "tuned_search": Baseline(TunedSearch, "search at speeds of the tuner"),
     "built_in": Baseline(
         lambda datasheet, seed: BuiltIn(datasheet),
-        "the drive's method for the reference; built_in:N another one",
+        "the drive's homing method for the task; built_in:N is method N",
     ),
     "built_in_fast": Baseline(
         lambda datasheet, seed: BuiltIn(datasheet, fast=True),
-        "the quickest method to it, at the task's limits; built_in_fast:N another one",
+        "the quickest method to the same home, at the task's limits; built_in_fast:N is method N",
     ),
-    "squaring": Baseline(Squaring, "over the home switches slowly, square on the way to the goal"),
-    "squaring_slow": Baseline(SlowSquaring, "the same as gently as it is commissioned"),
-    "tuned_squaring": Baseline(TunedSquaring, "the same at speeds of the tuner"),
+    "squaring": Baseline(
+        Squaring, "slow over the home switches, then square on the way to the goal"
+    ),
+    "squaring_slow": Baseline(SlowSquaring, "squaring at a quarter of its speeds and ramps"),
+    "tuned_squaring": Baseline(TunedSquaring, "squaring at speeds of the tuner"),
     "constant_feed": Baseline(ConstantFeed, "the path at full feed, no correction"),
     "full_feed": Baseline(FullFeed, "the path ahead of the drives' lag, slower at corners"),
     "tuned_full_feed": Baseline(
-        TunedFullFeed, "the same with an outer loop, by numbers of the tuner"
+        TunedFullFeed, "full_feed with an outer loop and numbers of the tuner"
     ),
     **{
-        PREFIX + law: Baseline(make, f"{law}, told what was drawn", informed=True)
+        PREFIX + law: Baseline(make, f"{law}, given what was drawn", informed=True)
         for law, make in INFORMED.items()
     },
     "bound": Baseline(
-        Bound, "what nothing can be better than: a limit, nothing that could act", informed=True
+        Bound, "a limit that no policy can exceed; nothing is played", informed=True
     ),
     "plc": Baseline(plc_policy, "the step chain of a PLC", face=PDO),
-    "plc_timed": Baseline(timed_policy, "the same by the clock, without looking", face=PDO),
-    "tuned_plc_timed": Baseline(TunedTimed, "the same with the times of the tuner", face=PDO),
+    "plc_timed": Baseline(timed_policy, "the step chain by the clock, without feedback", face=PDO),
+    "tuned_plc_timed": Baseline(TunedTimed, "plc_timed with times of the tuner", face=PDO),
 }
-ANYWHERE = ("hold", "random")  # want nothing of a task
-BUILT_IN = ("built_in", "built_in_fast")  # of which a method can be asked for
+ANYWHERE = ("hold", "random")  # fit every task
+BUILT_IN = ("built_in", "built_in_fast")  # may be followed by ``:N``, a homing method
 ENTRY_POINTS = "servogym.policies"  # of other packages: a name, and what makes a policy
 
 
-MODE = "csp"  # what policies command where they do not need another mode
+MODE = "csp"  # the mode of all policies that do not name another one
 
 
 def needed(name: Any) -> dict[str, Any]:
-    """The environment arguments that a policy needs; none for names outside `POLICIES`."""
+    """Return the environment arguments a policy needs; none for names outside `POLICIES`."""
     row = POLICIES.get(label(name).partition(":")[0])
     return dict(row.arguments) if row else {}
 
@@ -191,7 +197,7 @@ def fitted(name: str) -> bytes:
 
 
 def declared() -> list[str]:
-    """All registered names: those of the table, then those declared by installed packages."""
+    """Return all registered names: those of the table, then those of installed packages."""
     points = metadata.entry_points(group=ENTRY_POINTS)
     return [*POLICIES, *sorted({point.name for point in points} - POLICIES.keys())]
 
@@ -210,7 +216,7 @@ def names(task: type[ServoEnv] | ServoEnv) -> list[str]:
 
 
 POLICIES_TOLD = "FILE.py:name, a folder of `servogym train`, or model.zip of stable-baselines3"
-LEARNED = "learned"  # what comes with the laboratory
+LEARNED = "learned"  # the trained policies that are shipped
 SHIPPED = Path(str(resources.files("servogym.assets"))) / "policies"
 
 
@@ -244,7 +250,7 @@ def trainings(name: Any, task: str) -> list[str]:
 
 
 def label(policy: Any) -> str:
-    """The label of a policy: its name, or the name of its class or function."""
+    """Return the label of a policy: its name, or the name of its class or function."""
     return policy if isinstance(policy, str) else getattr(policy, "__name__", repr(policy))
 
 

@@ -3,8 +3,8 @@
 Each model of the bank is that of `lqr` with a different resonance. All of them predict deflection
 and rate of the load from the previous step and the velocity of the axis. The model with the least
 sum of squared errors so far provides the path, shaped for its resonance, and the feedback (multiple
-models: Narendra, Balakrishnan 1997). Nothing is tuned but the bank, whose ends are those of the
-loads that `CompliantAxis-v0` draws; weights and shaper are those of `lqr`.
+models: Narendra, Balakrishnan 1997). Only the ends of the bank were chosen: they are those of the
+loads that `CompliantAxis-v0` draws. Weights and shaper are those of `lqr`.
 """
 
 import math
@@ -22,7 +22,10 @@ LOWEST, HIGHEST, MODELS = 0.5, 2.4, 33  # of the nominal resonance, in equal rat
 
 @lru_cache(maxsize=64)
 def bank(vibration: Vibration, dt: float) -> tuple[np.ndarray, ...]:
-    """Resonances (rad/s), models and inputs, gains: shapes ``(n,)``, ``(n, 5, 5)``, ``(n, 5)``."""
+    """Return resonances (rad/s), models, inputs and gains of the bank.
+
+    Shapes ``(n,)``, ``(n, 5, 5)``, ``(n, 5)``, ``(n, 5)``.
+    """
     frequencies = vibration.frequency * np.geomspace(LOWEST, HIGHEST, MODELS)
     members = [Vibration(float(frequency), vibration.ratio) for frequency in frequencies]
     pairs = [model(member, dt) for member in members]
@@ -32,7 +35,7 @@ def bank(vibration: Vibration, dt: float) -> tuple[np.ndarray, ...]:
 
 
 class Identified(Regulated):
-    """One axis: errors of the bank, and path and feedback of the best model."""
+    """The controller of one axis: the bank, and path and feedback of its best model."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis):
         super().__init__(datasheet, axis)

@@ -13,7 +13,7 @@ The eight numbers were tuned by the cross-entropy method: four generations of 16
 `LeadingFeedForward` also identifies the delay of the set-points: an error in proportion to the
 velocity is a lag, whose ratio to the velocity is the time by which the set-point has to lead. Two
 of its three numbers were chosen by hand from seven pairs, on 24 episodes of the same seed, nominal
-and in nine conditions; up to `SURE` it equals `AdaptiveFeedForward`, bit for bit.
+and in nine conditions. Up to a lag of `SURE` it equals `AdaptiveFeedForward`, bit for bit.
 """
 
 import math
@@ -25,18 +25,19 @@ from .datasheet import Datasheet
 from .feed_forward import FeedForward, friction
 
 GAIN, INTEGRAL, DIFFERENCE = 0.52, 0.014, 0.14
-FADING = 0.98  # of the sum, a step
+FADING = 0.98  # factor of the sum in each step
 REVERSAL = 0.0143  # m/s, of tanh(v / REVERSAL)
-LEAD = 0.585  # of the step to come, where its velocity is taken
+LEAD = 0.585  # share of the next step after which its velocity is taken
 UNSEEN = 0.655  # of the nominal mass
 DOUBT = (4.5, 0.25)  # variances of the first guess: kg², share²
-NOISE = 3.7  # N, of the force
-MOVING = 0.04  # m/s, below which friction tells nothing
-LEAST, MOST = 0.3, 3.0  # of the friction of the data sheet
-SPARE = 2.0  # kg, that a payload may lie beyond the heaviest declared
-RATE, SURE = 0.2, 0.06  # of the lag: share believed in a step, and steps that may be none
-SLOW = 0.1  # m/s, below which an error tells little of a lag
-LONGEST = 1.2  # steps
+NOISE = 3.7  # N, standard deviation of the force
+MOVING = 0.04  # m/s, below which friction cannot be identified
+LEAST, MOST = 0.3, 3.0  # limits of the friction, as shares of the data sheet's
+SPARE = 2.0  # kg by which a payload may exceed the heaviest one declared
+RATE = 0.2  # share by which the lag follows a new estimate in a step
+SURE = 0.06  # steps; a smaller lag counts as none
+SLOW = 0.1  # m/s, below which an error says little about a lag
+LONGEST = 1.2  # steps, of the lag
 
 
 class AdaptiveFeedForward(FeedForward):
@@ -108,7 +109,7 @@ class LeadingFeedForward(AdaptiveFeedForward):
         self.lag = 0.0  # steps
 
     def ahead(self, error: float, velocity: float, rate: float) -> float:
-        """The distance of the identified lag, at this velocity and acceleration."""
+        """Return the distance covered in the identified lag, at this velocity and acceleration."""
         dt = self._known.step_time
         self.lag += RATE * error * velocity / (velocity**2 + SLOW**2) / dt
         self.lag = min(max(self.lag, -LONGEST), LONGEST)

@@ -1,15 +1,15 @@
 """Feed-forward by basis functions, which carries iterative learning over to other references.
 
-Iterative learning control finds the corrections of one motion by repeating it. Written as a sum of
-basis functions of the reference, what it found for some motions holds for motions that were never
-repeated (van de Wijdeven, Bosgra 2010, Using basis functions in iterative learning control). The
-basis functions are the velocities around the step to come, its acceleration, the same times the
-mass that is identified, and Coulomb's friction at these velocities, ``tanh(v / reversal)``, alone
-and times the share that is identified. Their coefficients are fitted by linear least squares to the
-tables that `repeat` finds on `EPISODES` training episodes: no gradient, no network. Mass, share and
-lag are identified by `leading_feed_forward`, whose outer loop stays, at `LOOP` of its gains.
+Iterative learning control finds the corrections of one motion by repeating it. If the corrections
+of some motions are written as a sum of basis functions of the reference, the sum also holds for
+motions that were never repeated (van de Wijdeven, Bosgra 2010, Using basis functions in iterative
+learning control). The basis functions are the velocities around the next step and its acceleration,
+these times the identified mass, and Coulomb friction at these velocities, ``tanh(v / reversal)``,
+alone and times its identified share. Their coefficients are fitted by linear least squares to the
+tables that `repeated` finds on `EPISODES` training episodes, without gradient or network.
+`leading_feed_forward` identifies mass, share and lag; its outer loop runs at `LOOP` of its gains.
 
-`servogym tune-policy basis_feed_forward` fits them again and says what that takes.
+`servogym tune-policy basis_feed_forward` fits the coefficients again and prints the cost.
 """
 
 from functools import lru_cache
@@ -33,13 +33,13 @@ CHOICES = "basis functions of 9 sets on 16 of them, outer loop of 3 gains on 20 
 PAST, RATES = 4, 2  # velocities and accelerations of the reference, until now
 REVERSALS = 3e-3, 12e-3, 50e-3  # m/s
 LOOP = 0.6  # of the outer loop; chosen of 0.5, 0.6 and 1 on 20 episodes of evaluation seed 11
-SPREAD = 1e-6  # of the squared coefficients, beside a squared error of 1
-WORST = 5e-6  # m rms, above which a table was not found and is left out
+SPREAD = 1e-6  # weight of the squared coefficients against a squared error of 1
+WORST = 5e-6  # m rms; a rehearsal that ends with a larger error is left out
 FILE = Path(__file__).parents[2] / "assets" / "policies" / "basis_feed_forward.npz"
 
 
 class Reference:
-    """The observed part of a reference and the part ahead, in m/s and m/s²."""
+    """The latest and the next velocities and accelerations of a reference (m/s, m/s²)."""
 
     def __init__(self, known: Datasheet):
         self._known = known

@@ -14,11 +14,11 @@ set-points at their top speed with the axis within the window of the following e
 | LinearAxisTracking | rms error | all torques, where the reference turns sharpest | proven |
 | GantryContour | return | full feed and no error | proven |
 
-"Proven" is for the physics as it is simulated, step by step, up to rounding: `bounds.times` and
-`bounds.errors` give a certificate for each episode that does not depend on a solver. It holds for
-motions whose following error stays within its window (beyond it for 10 ms the drive faults) and
-that meet no end stop. A bound is not a promise: what lies between it and the best motion that was
-played is not known.
+A proven bound holds for the physics as it is simulated, step by step, up to rounding:
+`bounds.times` and `bounds.errors` give a certificate for each episode that does not depend on a
+solver. It covers motions whose following error stays within its window (the drive faults after
+10 ms outside it) and that meet no end stop. A bound need not be attainable: nothing is known about
+the range between it and the best motion that was played.
 """
 
 import math
@@ -39,11 +39,11 @@ from .bounds.errors import SIDE, least_squares
 from .bounds.plant import LOAD, NotLinear, Plant, plant
 from .bounds.times import Question, least_ticks, scipy
 
-TAIL, SWINGING = 0.03, 0.2  # s, in the window that is looked at; where a load is on a spring
+TAIL, SWINGING = 0.03, 0.2  # s that the load has to stay in the window; with a load on a spring
 PERIOD = 2.0 * math.pi * math.sqrt(0.4 / 9.81)  # s, of the longest pendulum
-HORIZON = 0.3  # s, that is tried first
-OVER = 1.05  # of the top speed, that a velocity loop overshoots (inferred)
-NOISE = 6.0  # standard deviations of the encoder's noise, that the following error may show
+HORIZON = 0.3  # s, the first one tried
+OVER = 1.05  # of the top speed, the overshoot of a velocity loop (inferred)
+NOISE = 6.0  # standard deviations of the encoder's noise that the following error may contain
 CSP = int(Mode.CYCLIC_SYNC_POSITION)
 
 
@@ -52,7 +52,7 @@ class Bound:
 
     Raises:
         ImportError: scipy is missing.
-        ValueError: nothing is known to bound the task, or its mechanics are not linear.
+        ValueError: no bound is known for the task, or only for linear mechanics.
     """
 
     def __init__(self, env: ServoEnv, seed: int = 0):
@@ -72,7 +72,7 @@ class Bound:
 
 
 def _least(make: Callable[[int], Plant], asked: Question, delay: int) -> float:
-    """The time until a load has settled (s), over the shortest sufficient horizon."""
+    """Return the least time until a load has settled (s), over the shortest sufficient horizon."""
     steps = min(round(HORIZON / make(1).timestep), asked.last)
     while True:
         whole = make(steps)
@@ -87,7 +87,10 @@ def _ticks(env: Any, seconds: float) -> int:
 
 
 def _delay(env: Any, d: int = 0) -> int:
-    """Physics steps before the first command arrives; without noise nothing moves until then."""
+    """Return the physics steps until the first command arrives, before which nothing moves.
+
+    With encoder noise the loops move the axis meanwhile, so the delay counts as 0.
+    """
     return 0 if env.machine.couplings[d]["noise"] > 0.0 else int(env.machine.world["delay"][0])
 
 
@@ -141,7 +144,7 @@ def _arrival(way: float, near: float, most: float, ramp: float, steps: int) -> i
 
 
 def _positioned(env: Any) -> dict[str, float]:
-    """A load behind one axis, physics step by physics step."""
+    """Bound a load behind one axis, at physics steps."""
     aim = env.settling()
     swings = bool(probe.elastic(env.machine))
     limits = _set_points(env) if int(env.MODES[0]) == CSP else {}
@@ -153,7 +156,7 @@ def _positioned(env: Any) -> dict[str, float]:
 
 
 def _swayed(env: Any) -> dict[str, float]:
-    """A pendulum behind each axis, agent step by agent step, for small angles."""
+    """Bound a pendulum behind each axis, at the agent's steps, for small angles."""
     episode, seconds = env.episode, []
     for d in range(len(env.drives)):
         arm = {int(episode._sway_at[d]): float(episode._length)}
@@ -167,7 +170,7 @@ def _swayed(env: Any) -> dict[str, float]:
 
 
 def _squared(env: Any) -> dict[str, float]:
-    """The middle of the bridge, which the two set-points bring there."""
+    """Bound the middle of the bridge, which moves with the mean of the two set-points."""
     here = float(env.machine.data.qpos[int(env.episode._bridge_at)])
     way = abs(float(env.episode.goal) - here)
     near = env.tolerance + sum(_ahead(env, d) for d in range(2)) / 2.0
@@ -176,9 +179,9 @@ def _squared(env: Any) -> dict[str, float]:
 
 
 def _turned(env: Any) -> dict[str, float]:
-    """The axis as its drive measures it, agent step by agent step; the way round that is shorter.
+    """Bound the position that the drive measures, at the agent's steps, the shorter way round.
 
-    A gear with backlash or losses is not linear, so that only the set-points are bounded there.
+    A gear with backlash or losses is not linear; there the bound follows from set-points alone.
     """
     episode, every = env.episode, _ticks(env, env.step_time)
     here, period = float(episode._target), float(episode._period)
@@ -202,7 +205,7 @@ def _turned(env: Any) -> dict[str, float]:
 
 
 def _reached(env: Any) -> dict[str, float]:
-    """The joint that is last at its goal, by the speed and the acceleration of its set-point."""
+    """Bound the joint that is last at its goal, by speed and acceleration of its set-point."""
     episode, steps = env.episode, env.STEPS
     settled, away = 0, np.zeros(steps)  # of the joint farthest from its goal, after each step
     for d in np.flatnonzero(episode._sought).tolist():
@@ -219,7 +222,7 @@ def _reached(env: Any) -> dict[str, float]:
 
 
 def _homed(env: Any) -> dict[str, float]:
-    """To the true reference, where it is taken a step before the episode ends."""
+    """Bound the way to the true home, which is declared a step before the episode ends."""
     episode = env.episode
     asked = Question(
         float(episode._home), env.tolerance, 1, _ticks(env, env.STEPS * env.step_time), 1,
@@ -230,9 +233,9 @@ def _homed(env: Any) -> dict[str, float]:
 
 
 def _commissioned(env: Any) -> dict[str, float]:
-    """Wait for the cause to clear, search the switch, and move to the goal by profile.
+    """Bound the wait for the cause to clear, the search for the switch and the move to the goal.
 
-    Ramps count once each; states, edges and the end of the homing take no time.
+    Of each motion one ramp counts; states, edges and the end of the homing take no time.
     """
     drive, episode, coupling = env.drive, env.episode, env.machine.couplings[0]
     ahead = float(env.machine.axes[0]["od"]["following_error_window"]) / METRE
@@ -249,7 +252,7 @@ def _commissioned(env: Any) -> dict[str, float]:
 
 
 def _tracked(env: Any) -> dict[str, float]:
-    """The load along the reference, at the end of each step of the agent."""
+    """Bound the error of the load along the reference, at the end of each step of the agent."""
     episode, every = env.episode, _ticks(env, env.step_time)
     reference = np.array(episode._position[: env.STEPS + 1])
     whole = plant(env, (2 * SIDE + 1) * every)
@@ -258,7 +261,7 @@ def _tracked(env: Any) -> dict[str, float]:
 
 
 def _contoured(env: Any) -> dict[str, float]:
-    """No known effect keeps the tool from following the contour at full feed."""
+    """Bound the contour by full feed without error: no known effect excludes it."""
     return {"episode_return": float(env.STEPS), "contour_error": 0.0}
 
 
@@ -273,5 +276,5 @@ BOUNDS: dict[str, Callable[[Any], dict[str, float]]] = {  # by `Task.BOUND`
     "homed": _homed,
     "commissioned": _commissioned,
 }
-LINEAR = ("positioned", "tracked", "swayed", "homed")  # ask for linear mechanics
+LINEAR = ("positioned", "tracked", "swayed", "homed")  # need linear mechanics
 INFERRED = ("swayed", "homed")  # the others are proven

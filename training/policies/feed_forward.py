@@ -9,19 +9,19 @@ from ...drive.kernel.modes.csp import SMOOTHING
 from .datasheet import Axis, Datasheet
 from .profiles import Profile
 
-REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), by which friction changes its sign without a jump
+REVERSAL = 0.02  # m/s, of tanh(v / REVERSAL), with which friction reverses without a jump
 
 
 def friction(axis: Axis, velocity: float, reversal: float = REVERSAL) -> float:
-    """Coulomb and viscous, of the data sheet (N); Coulomb's sign is ``tanh(v / reversal)``."""
+    """Return Coulomb and viscous friction of the data sheet (N), with ``tanh(v / reversal)``."""
     sign = math.tanh(velocity / reversal)
     return axis.coulomb_friction * sign + axis.viscous_friction * velocity
 
 
 class Torque:
-    """The action for the torque of the nominal axis, less the drive's own feed-forward.
+    """The torque action of the nominal axis, less the drive's own feed-forward.
 
-    The drive derives the acceleration from smoothed set-points, so its feed-forward is late.
+    The drive derives the acceleration from smoothed set-points, so its own feed-forward lags.
     """
 
     def __init__(self, datasheet: Datasheet):
@@ -29,7 +29,7 @@ class Torque:
         self._slope = self._own = 0.0
 
     def own(self, slope: float) -> float:
-        """Acceleration that the drive feeds forward in a step with that slope (m/s, m/s²)."""
+        """Return the acceleration (m/s²) that the drive feeds forward at a slope (m/s)."""
         self._own += SMOOTHING * ((slope - self._slope) / self._dt - self._own)
         self._slope = slope
         return self._own

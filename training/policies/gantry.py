@@ -2,9 +2,9 @@
 
 `Squaring` moves both sides quickly to their home switches and slowly over them, so that the skew is
 known to a fifth of a millimetre, and removes it on the way to the goal. `FullFeed` compensates the
-lag T of the drives: a first-order follower is where the path was T ago if its set-point is
-``path(t - T) + T · path'(t - T)``. The feed is reduced only where the remaining correction would
-exceed its range, at corners.
+lag T of the drives: with the set-point ``path(t - T) + T · path'(t - T)``, a first-order follower
+is at the point of the path where the path was T ago. The feed is reduced only at corners, where the
+correction would exceed its range.
 """
 
 import math
@@ -16,16 +16,16 @@ from .datasheet import Datasheet
 from .numbers import Range, Tunable
 
 HOME = 0.2  # m, where both home switches lie
-ZONE = 4e-3  # m before them; the side that starts behind may be as much as 3 mm off
-OVER = 0.04  # m/s, over the switches; best of 10, 20, 40 mm/s on 40 episodes of seed 7
-UNTWIST = 0.05  # m/s, of one side against the other
-CORNER = 0.7  # cosine: a turn of more than 45 degrees within the preview
+ZONE = 4e-3  # m before the switches; the side that starts behind may be off by up to 3 mm
+OVER = 0.04  # m/s over the switches; the best of 10, 20 and 40 mm/s on 40 episodes of seed 7
+UNTWIST = 0.05  # m/s, of one side relative to the other
+CORNER = 0.7  # cosine of a turn within the preview; below it the turn exceeds 45 degrees
 
 
 class Squaring:
-    """Squares the bridge of `GantrySync-v0`; x1 is right, and x2 is off by the skew."""
+    """Squares the bridge of `GantrySync-v0`; the position of x2 is off by the skew."""
 
-    OVER, SHARE = OVER, 0.4  # over the switches (m/s), of the acceleration commissioned
+    OVER, SHARE = OVER, 0.4  # speed over the switches (m/s), share of the acceleration
     UNTWIST, ZONE = UNTWIST, ZONE
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
@@ -70,7 +70,7 @@ class Squaring:
 
 
 class SlowSquaring(Squaring):
-    """Squares at the commissioned speeds, at a quarter of them over switches and on ramps."""
+    """Squares with a quarter of `Squaring`'s speed over the switches and of its acceleration."""
 
     OVER, SHARE = 0.25 * OVER, 0.1
 
@@ -81,9 +81,9 @@ class TunedSquaring(Squaring, Tunable):
     NAME = "tuned_squaring"
     RANGES = {  # noqa: RUF012
         "over": Range(0.01, 0.2, OVER),  # m/s, over the switches
-        "share": Range(0.1, 1.0, Squaring.SHARE),  # of the acceleration commissioned
-        "untwist": Range(0.01, 0.2, UNTWIST),  # m/s, of one side against the other
-        "zone": Range(2e-3, 8e-3, ZONE),  # m before the switches, where it slows down
+        "share": Range(0.1, 1.0, Squaring.SHARE),  # of the commissioned acceleration
+        "untwist": Range(0.01, 0.2, UNTWIST),  # m/s, of one side relative to the other
+        "zone": Range(2e-3, 8e-3, ZONE),  # m before the switches in which it is slow
     }
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
@@ -121,8 +121,8 @@ class FullFeed:
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
         """Begin at rest on the path, whose first point is the origin here."""
-        self._ways, self._places = [0.0], [np.zeros(2)]  # of the path, as seen (m)
-        self.lead = np.zeros(2)  # of the path over where the axes shall be (m)
+        self._ways, self._places = [0.0], [np.zeros(2)]  # of the observed path (m)
+        self.lead = np.zeros(2)  # of the path over the wanted positions of the axes (m)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Return corrections and feed override."""
@@ -164,13 +164,13 @@ class FullFeed:
 
 
 class TunedFullFeed(FullFeed, Tunable):
-    """The same with an outer loop on the positions and a lag, with numbers of the tuner."""
+    """Full feed with a tuned lag and an outer loop on the positions."""
 
     NAME, FADING = "tuned_full_feed", 0.98
     RANGES = {  # noqa: RUF012
-        "lag": Range(0.8, 1.25, 1.0),  # of that by the gains commissioned
-        "gain": Range(0.02, 1.0, 0.02),  # of what the axes are behind
-        "integral": Range(0.002, 0.2, 0.002),  # of its fading sum
+        "lag": Range(0.8, 1.25, 1.0),  # of the lag by the commissioned gains
+        "gain": Range(0.02, 1.0, 0.02),  # of the distance by which the axes lag
+        "integral": Range(0.002, 0.2, 0.002),  # of its decaying sum
     }
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
@@ -191,7 +191,7 @@ class TunedFullFeed(FullFeed, Tunable):
         return super().act(observation)
 
     def outer(self, observation: np.ndarray) -> np.ndarray:
-        """A share of the contour lag and of its decaying sum (m)."""
+        """Return a share of the contour lag plus its decaying sum (m)."""
         axes = self._known.named_by_axis(observation)
         behind = self._window * np.array([float(axis.distance) for axis in axes]) - self._wanted
         self._sum = self.FADING * self._sum + self._integral * behind

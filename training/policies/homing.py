@@ -10,12 +10,12 @@ from .profiles import of_the_drive
 from .script import Script, Steps
 
 NEGATIVE, POSITIVE, HOME = "negative_limit_switch", "positive_limit_switch", "home_switch"
-# Shares of the top speed; `ramp` is the change in a step, to be gentle. The ranges are the tuner's.
+# Shares of the top speed; `ramp` limits the change in a step. The ranges are those of the tuner.
 SPEEDS = {
     "fast": Range(0.2, 1.0, 0.6), "back": Range(0.02, 1.0, 0.2), "again": Range(0.01, 1.0, 0.1),
     "slow": Range(0.002, 0.1, 0.01), "ramp": Range(0.02, 1.0, 0.05),
 }
-# The legs of a search: direction, speed, switch, the value it has to take.
+# The legs of a search: direction, speed, and the switch with the value that ends the leg.
 LEGS = {
     "home_switch": (
         (1, "fast", HOME, True), (-1, "back", HOME, False), (1, "again", HOME, True),
@@ -24,14 +24,14 @@ LEGS = {
     "negative_limit_switch": ((-1, "fast", NEGATIVE, True), (1, "slow", NEGATIVE, False)),
 }
 TO_LIMIT = 2.0 / 3.0  # of the fast speed, towards a limit switch
-# To the same places, whichever side the start is on: to the home switch negative first, because the
-# way beyond it is shorter there.
+# The quickest methods to the same homes from either side of the start. To the home switch it is the
+# one in the negative direction, because the way beyond the switch is shorter there.
 FASTEST = {"home_switch": 30, "negative_limit_switch": 17, "stop": -17}
-SHARE_OF_TOLERANCE = 0.2  # that the slow speed may pass in a cycle in which inputs are sampled
+SHARE_OF_TOLERANCE = 0.2  # the most that the slow speed covers between two samples of the inputs
 
 
 def search(datasheet: Datasheet, legs, speeds: Mapping[str, float]) -> Steps:
-    """Travel by `legs`, then declare; a positive limit switch turns the first leg round.
+    """Travel along `legs`, then declare home; a positive limit switch reverses the first leg.
 
     The last leg stops without a ramp.
     """
@@ -49,7 +49,7 @@ def search(datasheet: Datasheet, legs, speeds: Mapping[str, float]) -> Steps:
 
 
 def to_stop(datasheet: Datasheet) -> Steps:
-    """Push against the end with little torque until it stands, then declare."""
+    """Push against the end stop with little torque until the axis stands, then declare home."""
     seen = datasheet.named((yield datasheet.action(torque_limit=-0.8, reference=-1)))
     standing = step = 0
     while standing < 20:
@@ -64,12 +64,12 @@ def to_stop(datasheet: Datasheet) -> Steps:
 
 
 def search_policy(datasheet: Datasheet, seed: int = 0) -> Script:
-    """The search for the reference of the task."""
+    """Return the search for the reference of the task."""
     return Script(_searched(datasheet, {name: one.untuned for name, one in SPEEDS.items()}))
 
 
 def _searched(datasheet: Datasheet, speeds: Mapping[str, float]) -> Callable[[], Steps]:
-    """Search for the reference of the task at given speeds."""
+    """Return a script that searches for the reference of the task at given speeds."""
     legs = LEGS.get(datasheet.reference)
     return partial(search, datasheet, legs, speeds) if legs else partial(to_stop, datasheet)
 
@@ -100,7 +100,7 @@ class BuiltIn:
 
 
 def _fast(datasheet: Datasheet) -> dict[str, int]:
-    """Objects for a homing as fast as an agent may be, the slow part within the tolerance."""
+    """Return objects for a homing at an agent's top speed, with a slow part that is accurate."""
     axis = datasheet.axis
     slow = min(SHARE_OF_TOLERANCE * datasheet.tolerance / datasheet.sampling, axis.speed)
     speeds = {

@@ -30,15 +30,15 @@ from .numbers import Range, Tunable
 from .profiles import resonance, time_optimal
 
 LOWEST, HIGHEST, MODELS = 0.4, 2.6, 97  # of the nominal resonance, in equal ratios
-SURE = 4  # steps of motion before what was identified is believed
-MOVING = 1e-4  # of the top speed, change of velocity in a step
-FULL = 0.999  # of the range of the sensor, beyond which it tells nothing
-FINE = 1e-3  # s, of the table of a path
+SURE = 4  # steps of motion before the identified resonance is used
+MOVING = 1e-4  # of the top speed, the least change of velocity that counts as motion
+FULL = 0.999  # of the range of the sensor, beyond which its value is not used
+FINE = 1e-3  # s, spacing of the table of a path
 
 
 @lru_cache(maxsize=64)
 def bank(frequency: float, ratio: float, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Resonances (rad/s), and the step matrices of deflection and rate and of a unit acceleration.
+    """Return resonances (rad/s) and what a step and a unit acceleration make of the swinging load.
 
     Shapes ``(n,)``, ``(n, 2, 2)``, ``(n, 2)``.
     """
@@ -53,7 +53,7 @@ def bank(frequency: float, ratio: float, dt: float) -> tuple[np.ndarray, np.ndar
 
 
 class Identified:
-    """One axis: its path, the resonance so far, and the pulses."""
+    """The controller of one axis: its path, the resonance identified so far, and the pulses."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis, robust: bool, numbers: dict[str, float]):
         self._sensor = sensed(datasheet, axis)
@@ -71,7 +71,7 @@ class Identified:
         self._shares = pulses / pulses.sum()
 
     def reset(self, seen: Any) -> None:
-        """Plan from the observations of the axis, at rest."""
+        """Plan from the observation of the axis at rest."""
         way = float(seen.distance) * self._axis.stroke - self._rest
         self._times = np.arange(0.0, (self._steps + 2) * self._dt, FINE)
         self._path = time_optimal(way, self._bounds)(self._times)
@@ -86,7 +86,7 @@ class Identified:
         self._before = self._look(seen)
 
     def _look(self, seen: Any) -> tuple[np.ndarray, float, bool]:
-        """Deflection (m), its rate and velocity of the axis (m/s), and whether all are in range."""
+        """Return deflection and rate, velocity of the axis (m, m/s), and if all are in range."""
         share, rate = float(seen[self._sensor.name]), float(seen[self._sensor.rate_name])
         state = [share * self._sensor.deflection - self._rest, rate * self._sensor.rate]
         whole = max(abs(share), abs(rate)) < FULL
@@ -118,7 +118,7 @@ class Identified:
         self.frequency = float(self._frequencies[k]) * math.exp(ratio * between)
 
     def act(self, seen: Any) -> float:
-        """The set-point at the end of the step, relative to its start (m)."""
+        """Return the set-point at the end of the step, relative to its start (m)."""
         if self._step:
             self.identify(seen)
         self._step += 1
@@ -137,7 +137,7 @@ class Identified:
         return self._place
 
     def regulated(self) -> float:
-        """The change of velocity by state feedback (m/s); 0 at rest at the goal."""
+        """Return the change of velocity by state feedback (m/s); it is 0 at rest at the goal."""
         if self._gain is None:
             self._gain = gain(Vibration(self.frequency, self._nominal.ratio), self._dt)
         (deflection, rate), *_ = self._before

@@ -1,7 +1,7 @@
-"""Laws that are given the randomly drawn parameters, which no controller knows.
+"""Laws that are given the randomly drawn parameters, which no controller can know.
 
-The difference between such a law and the same law without that information is what identification
-can gain. An informed law is not a limit: another law may be better, and some that know less are.
+The difference between such a law and the same law without this information is what identification
+can gain. An informed law is not a limit: other laws may be better, and some that know less are.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from .plc import chain
 from .profiles import Profile, Trapezoid, of_the_drive, of_the_profile, time_optimal
 from .script import Script
 
-SPARE = 0.95  # of the top speed of a homing, the rest holds the path
+SPARE = 0.95  # of the top speed of a homing; the rest lets the controller hold the path
 
 
 class InformedPolicy:
@@ -75,8 +75,8 @@ class KnownSkew(Squaring):
 class KnownHome:
     """Homing with the true home given: move there as fast as the task allows and declare it."""
 
-    STIFF = 80.0  # 1/s, of the position loop
-    NEAR, SLOW = 0.3, 3e-3  # of the tolerance and m/s, within which it declares
+    STIFF = 80.0  # 1/s, gain of the position loop
+    NEAR, SLOW = 0.3, 3e-3  # share of the tolerance and m/s within which it declares home
 
     def __init__(self, env: ServoEnv, seed: int):
         self._env, self._known = env, datasheet(env)
@@ -111,7 +111,7 @@ class KnownHome:
         )
 
 
-INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is told
+INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is informed
     "adaptive_feed_forward": KnownMass,
     "squaring": KnownSkew,
     "lqr": partial(InformedPolicy, Lqr),
@@ -120,7 +120,7 @@ INFORMED: dict[str, Callable[[ServoEnv, int], Any]] = {  # by the policy that is
     "ruckig+zv": partial(InformedPolicy, partial(Profile, shapers=1)),
     "ruckig+zvd": partial(InformedPolicy, partial(Profile, shapers=2)),
     "search": KnownHome,
-    "plc": lambda env, seed: Script(  # told when the cause clears, it resets in that very step
+    "plc": lambda env, seed: Script(  # knows when the cause clears, and resets in that very step
         lambda: chain(datasheet(env), gone=int(env.episode.outage) - 1)
     ),
 }

@@ -24,7 +24,7 @@ SHAPERS = 1  # of the path, best of 0, 1 and 2
 
 
 def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """State and input matrices of one step: shapes ``(5, 5)``, ``(5, 1)``."""
+    """Return the state and input matrices of one step: shapes ``(5, 5)``, ``(5, 1)``."""
     frequency, ratio = vibration
     damped = frequency * math.sqrt(1.0 - ratio**2)
     decay, share = math.exp(-ratio * frequency * dt), ratio * frequency / damped
@@ -39,7 +39,7 @@ def model(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def weights(vibration: Vibration, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the weights of state and input in a step, and the cost-to-go matrix.
+    """Return the weights of state and input in a step and the cost-to-go matrix.
 
     Shapes ``(5, 5)``, ``(1, 1)``, ``(5, 5)``.
 
@@ -77,7 +77,7 @@ def sensed(datasheet: Datasheet, axis: Axis) -> Sensor:
 
 
 class Regulated:
-    """One axis: its path, the state on it, and the feedback of the deviation."""
+    """The controller of one axis: its path, the state along it, and feedback of the deviation."""
 
     def __init__(self, datasheet: Datasheet, axis: Axis):
         self._axis, self._sensor, self._dt = axis, sensed(datasheet, axis), datasheet.step_time
@@ -110,13 +110,13 @@ class Regulated:
         return self.changed(change)
 
     def state(self, seen: Any, origin: float = 0.0) -> np.ndarray:
-        """The observed state, shape ``(5,)``, with the set-point relative to an origin (m)."""
+        """Return the observed state, shape ``(5,)``, the set-point relative to an origin (m)."""
         deflection = float(seen[self._sensor.name]) * self._sensor.deflection - self._rest
         rate = float(seen[self._sensor.rate_name]) * self._sensor.rate
         return np.array([self._place - origin, self._velocity, deflection, rate, self._last])
 
     def changed(self, change: float) -> float:
-        """The velocity of the set-point (m/s) after a change, within the limits."""
+        """Return the velocity of the set-point (m/s) after a change, within the limits."""
         change, top = min(max(change, -self._change), self._change), self._axis.speed
         velocity = min(max(self._velocity + change, -top), top)
         self._last, self._velocity = velocity - self._velocity, velocity

@@ -13,25 +13,27 @@ from .datasheet import Datasheet
 from .numbers import Range, Tunable
 from .script import Script, Steps
 
-FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models show this one in FAULT
+FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)  # some models report the latter in FAULT
 SET, CLEAR = 1.0, -1.0
 UP = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
-# Steps for each state and for the homing; the farthest search takes 2 s, with some drives more
+# Steps for each state and for the homing; the longest search takes 2 s, on some drives more
 WAITS = {"wait": Range(2.0, 40.0, 20.0), "homing": Range(100.0, 1000.0, 600.0)}
 SHOWN = {-0.5: Mode.HOMING, 0.5: Mode.PROFILE_POSITION}  # modes as observed
 
 
 def action(datasheet: Datasheet, control: int, mode: Mode, target: float) -> np.ndarray:
-    """Controlword, mode and target position (-1..1) as an action."""
+    """Return the action for a controlword, a mode and a target position (-1..1)."""
     bits = [SET if control >> bit & 1 else CLEAR for bit in range(CONTROL_BITS)]
     chosen = 1.0 if mode == Mode.PROFILE_POSITION else -1.0
     return datasheet.action(target_position=target, control=[*bits, chosen])
 
 
 def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
-    """Reset the fault, enable, home, move: each when the statusword allows it.
+    """Reset the fault, enable, home and move, each as soon as the statusword allows it.
 
-    `gone`: the step in which the cause of the fault goes, as far as that is known.
+    Args:
+        datasheet: of the environment.
+        gone: the step in which the cause of the fault clears; 0 if this is not known.
     """
     homed = start = reset = False
     seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
@@ -56,7 +58,7 @@ def chain(datasheet: Datasheet, gone: int = 0) -> Steps:
 
 
 def timed(datasheet: Datasheet, waits: Mapping[str, float]) -> Steps:
-    """Run the step chain by the clock alone, with so many steps for each state and the homing."""
+    """Run the step chain by the clock alone, with given steps for each state and the homing."""
     wait, homing = (round(waits[name]) for name in WAITS)
     seen = datasheet.named((yield action(datasheet, 0, Mode.HOMING, 0.0)))
     for _ in range(int(datasheet.constant("outage"))):
@@ -73,17 +75,17 @@ def timed(datasheet: Datasheet, waits: Mapping[str, float]) -> Steps:
 
 
 def plc_policy(datasheet: Datasheet, seed: int = 0) -> Script:
-    """The step chain."""
+    """Return the step chain with feedback."""
     return Script(partial(chain, datasheet))
 
 
 def timed_policy(datasheet: Datasheet, seed: int = 0) -> Script:
-    """The chain by the clock, with ample time for each step."""
+    """Return the chain by the clock, with ample time for each step."""
     return Script(partial(timed, datasheet, {name: one.untuned for name, one in WAITS.items()}))
 
 
 class TunedTimed(Script, Tunable):
-    """The chain by the clock, with the times of the tuner."""
+    """The step chain by the clock, with times of the tuner."""
 
     NAME, RANGES = "tuned_plc_timed", WAITS
 

@@ -6,9 +6,9 @@
 | jerk_limited | 6081h | 6083h | 60A4h: the drive's pp profile, 6086h = 3 |
 | ruckig | of action 1 | what the maximum torque 6072h leaves for the heaviest payload | in 10 ms |
 | ruckig+zv | as ruckig, through a zero-vibration shaper for the nominal resonance | | |
-| ruckig+zvd | through it twice: slower, and less particular about the resonance (ZVD) | | |
-| ruckig+ei | through an extra-insensitive shaper: 5 % of vibration allowed, wider than ZVD | | |
-| s_curve | 6081h | 6083h | so that the acceleration builds up in one period of the resonance |
+| ruckig+zvd | as ruckig, through that shaper twice (ZVD): slower, less sensitive | | |
+| ruckig+ei | as ruckig, through an extra-insensitive shaper that leaves 5 % of vibration | | |
+| s_curve | 6081h | 6083h | the acceleration builds up in one period of the resonance |
 | ruckig+notch | as ruckig, through a notch filter of the set-point at the nominal resonance | | |
 """
 
@@ -23,21 +23,20 @@ from .datasheet import Axis, Bounds, Datasheet, Vibration
 from .numbers import Range, Tunable
 
 Path = Callable[[np.ndarray], np.ndarray]  # times (s) -> positions along the move (m)
-# What the controller needs to hold the path is left to it.
-TORQUE_SHARE = 0.8
+TORQUE_SHARE = 0.8  # of the maximum torque; the rest lets the controller hold the path
 ALLOWED = 0.05  # vibration that an EI shaper leaves at the resonance
-NOTCH_CYCLE, NOTCH_CYCLES = 1e-3, 4  # s, at most, and how many there are in a period at least
-FINE = 20.0  # tolerances, of the fine distance of an observation
-JERK_TIME = 0.01  # s, in which the acceleration builds up; two set-points
+NOTCH_CYCLE, NOTCH_CYCLES = 1e-3, 4  # s, longest cycle of the filter; least cycles in a period
+FINE = 20.0  # tolerances, the range of the fine distance in an observation
+JERK_TIME = 0.01  # s in which the acceleration builds up, two set-points
 
 
 def of_the_profile(axis: Axis) -> Bounds:
-    """Commissioned for profile position mode."""
+    """Return the limits that are commissioned for profile position mode."""
     return axis.profile
 
 
 def of_the_drive(axis: Axis) -> Bounds:
-    """The most the drive can do with the heaviest payload declared."""
+    """Return the limits of the drive with the heaviest payload declared."""
     acceleration = (TORQUE_SHARE * axis.force - axis.lost) / axis.mass(axis.heaviest)
     if acceleration <= 0.0:
         raise ValueError(
@@ -49,7 +48,7 @@ def of_the_drive(axis: Axis) -> Bounds:
 
 
 def trapezoid(way: float, bounds: Bounds) -> Path:
-    """Trapezoidal velocity; a triangle where the way is short."""
+    """Return a path of trapezoidal velocity, triangular if the way is short."""
     sign, way = math.copysign(1.0, way), abs(way)
     rate = bounds.acceleration
     speed = max(min(bounds.velocity, math.sqrt(way * rate)), 1e-12)
@@ -67,7 +66,13 @@ def trapezoid(way: float, bounds: Bounds) -> Path:
 
 
 def time_optimal(way: float, bounds: Bounds, brake: float | None = None) -> Path:
-    """Jerk-limited, as short as it can be (ruckig); it brakes as it speeds up, or by `brake`."""
+    """Return the shortest jerk-limited path (ruckig).
+
+    Args:
+        way: its length with sign (m).
+        bounds: its limits.
+        brake: deceleration (m/s²); by default that of `bounds`.
+    """
     wanted, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     wanted.current_position, wanted.target_position = [0.0], [way]
     if brake is not None and way > 0.0:
@@ -87,10 +92,10 @@ def time_optimal(way: float, bounds: Bounds, brake: float | None = None) -> Path
 
 
 def shaped(path: Path, frequency: float, ratio: float) -> Path:
-    """Zero-vibration shaper (Singer, Seering 1990): two pulses half a damped period apart.
+    """Apply a zero-vibration shaper (Singer, Seering 1990): pulses half a damped period apart.
 
     Args:
-        path: to be shaped.
+        path: the path to be shaped.
         frequency: of the vibration, undamped (rad/s).
         ratio: its damping ratio.
     """
@@ -101,7 +106,7 @@ def shaped(path: Path, frequency: float, ratio: float) -> Path:
 
 
 def extra_insensitive(path: Path, frequency: float, ratio: float) -> Path:
-    """EI shaper: three pulses half a damped period apart, `ALLOWED` of vibration at the resonance.
+    """Apply an EI shaper: three pulses, and `ALLOWED` of the vibration at the resonance.
 
     Singhose, Seering, Singer: Residual vibration reduction using vector diagrams to generate shaped
     inputs, 1994, for little damping.
@@ -114,12 +119,12 @@ def extra_insensitive(path: Path, frequency: float, ratio: float) -> Path:
 
 
 def notched(path: Path, frequency: float, ratio: float) -> Path:
-    """Notch filter of the set-point, ``(s² + 2 ζ ω s + ω²) / (s + ω)²``: zeros where it swings.
+    """Filter the set-point by the notch ``(s² + 2 ζ ω s + ω²) / (s + ω)²``.
 
-    Sampled at 1 ms or a quarter of a period by Tustin's rule, exact at the resonance.
+    It is sampled at 1 ms or a quarter of a period by Tustin's rule, exactly at the resonance.
 
     Args:
-        path: to be filtered, at rest at 0 before.
+        path: the path to be filtered, which begins at rest at 0.
         frequency: of the vibration, undamped (rad/s).
         ratio: its damping ratio.
     """
@@ -143,7 +148,7 @@ def notched(path: Path, frequency: float, ratio: float) -> Path:
 
 
 def resonance(datasheet: Datasheet, axis: Axis) -> Vibration:
-    """Nominal vibration against an axis that is held. Raises ValueError where nothing swings."""
+    """Return the nominal vibration behind a held axis. Raises ValueError if nothing can swing."""
     if axis.vibration is None:
         raise ValueError(
             f"a shaper is of no use: the axis of {datasheet.task} has no spring that could "
@@ -157,10 +162,10 @@ class Profile:
 
     Args:
         datasheet: of the environment.
-        seed: of nothing.
-        bounds: axis -> what the path keeps to.
-        shapers: how often it goes through a shaper for the nominal resonance.
-        shape: the shaper: of a path, frequency and damping ratio.
+        seed: not used.
+        bounds: gives the limits of the path for an axis.
+        shapers: how often the path is shaped for the nominal resonance.
+        shape: shapes a path for a frequency and a damping ratio.
     """
 
     def __init__(
@@ -178,11 +183,11 @@ class Profile:
         self._farthest = [axis.speed * datasheet.step_time for axis in datasheet.axes]
 
     def plan(self, way: float, bounds: Bounds) -> Path:
-        """The path before it is shaped: as short as it can be."""
+        """Return the path before it is shaped: the shortest one."""
         return time_optimal(way, bounds)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Plan from what is seen at rest."""
+        """Plan from the observation at rest."""
         self._places = []
         named_by_axis = self._known.named_by_axis(observation)
         for (axis, bounds, shapers), seen in zip(self._plans, named_by_axis, strict=True):
@@ -193,13 +198,13 @@ class Profile:
         self._step, self._place = 0, [0.0] * len(self._places)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The velocities that bring the set-points to the next places of their paths."""
+        """Return the velocities that bring the set-points to the next points of their paths."""
         self._step = min(self._step + 1, self._known.steps)
         velocities = np.zeros(len(self._places), np.float32)
         for d, (places, farthest) in enumerate(zip(self._places, self._farthest, strict=True)):
             wanted = (places[self._step] - self._place[d]) / farthest
             velocities[d] = min(max(wanted, -1.0), 1.0)
-            self._place[d] += float(velocities[d]) * farthest  # what rounding took comes next
+            self._place[d] += float(velocities[d]) * farthest  # the next step makes up for rounding
         return self._known.action(velocity=velocities)
 
 
@@ -224,15 +229,15 @@ class Trapezoid(Profile):
     """The drive's pp profile without jerk limit."""
 
     def plan(self, way: float, bounds: Bounds) -> Path:
-        """Without jerk limit."""
+        """Return a path without jerk limit."""
         return trapezoid(way, bounds)
 
 
 class TunedRuckig(Profile, Tunable):
-    """Time-optimal by numbers that a tuner found, with an outer loop on what it lags behind.
+    """Time-optimal by numbers of the tuner, with an outer loop on the lag.
 
-    The set-point goes along the path, and ahead of it by a share of the way by which the axis was
-    behind the path at the end of the step before.
+    The set-point leads the path by a share of the distance by which the axis lagged behind the path
+    at the end of the step before.
     """
 
     NAME = "tuned_ruckig"
@@ -240,7 +245,7 @@ class TunedRuckig(Profile, Tunable):
         "share": Range(0.4, 1.0, TORQUE_SHARE),  # of the maximum torque, to speed up
         "brake": Range(0.4, 1.0, TORQUE_SHARE),  # and to brake
         "jerk_time": Range(0.002, 0.04, JERK_TIME),  # s, in which the acceleration builds up
-        "lead": Range(0.05, 1.0, 0.05),  # share of the way behind
+        "lead": Range(0.05, 1.0, 0.05),  # share of the distance behind the path
     }
 
     def __init__(self, datasheet: Datasheet, seed: int = 0):
@@ -248,11 +253,11 @@ class TunedRuckig(Profile, Tunable):
         self._fine = FINE * datasheet.tolerance
 
     def chosen(self, way: float) -> dict[str, float]:
-        """The numbers for a way (m): the same for all."""
+        """Return the numbers for a way (m), which are the same for all here."""
         return self.numbers(self._known.task)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Plan from what is seen at rest."""
+        """Plan from the observation at rest."""
         axis, seen = self._known.axis, self._known.named(observation)
         self._way = float(seen.distance) * axis.stroke
         own = self.chosen(self._way)
@@ -264,7 +269,7 @@ class TunedRuckig(Profile, Tunable):
         self._step, self._place = 0, [0.0]
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The velocity that brings the set-point where it has to be at the end of the step."""
+        """Return the velocity that brings the set-point to its place at the end of the step."""
         axis, seen, path = self._known.axis, self._known.named(observation), self._places[0]
         left = float(seen.distance_fine) * self._fine
         if abs(float(seen.distance_fine)) >= 1.0:

@@ -1,15 +1,16 @@
-"""Iterative learning control: the same motion again and again, each time with less error.
+"""Iterative learning control: the same motion is repeated, each time with less error.
 
-In machines the same move is made a thousand times; what went wrong at a moment is put right in
-front of that moment the next time (Arimoto 1984; Bristow, Tharayil, Alleyne 2006, A survey of
-iterative learning control). Here the move is rehearsed `REHEARSALS` times on a twin of the
-environment as it was drawn, with noise of its own, and then played: with more knowledge than a
-policy has that sees an episode for the first time, so a row to know the limits by, and no rival.
+Machines make the same move thousands of times, so an error at some moment can be corrected just
+before that moment in the next repetition (Arimoto 1984; Bristow, Tharayil, Alleyne 2006, A survey
+of iterative learning control). Here the move is rehearsed `REHEARSALS` times on a twin of the drawn
+environment, with other noise, and then played. This is more than a policy can know that meets an
+episode for the first time, so the row shows what is possible and does not compete.
 
     u ← Q (u + gain · e, `LEAD` steps earlier)
 
-with Q a smoothing of three steps, without a shift. Tuned by hand: seven laws on 6 episodes of
-evaluation seed 11, gains of 0.3 to 0.8, leads of 1 and 2, of each neighbour 0 to 0.2.
+where Q smooths over three steps without a shift. The law was chosen by hand from seven on 6
+episodes of evaluation seed 11: gains of 0.3 to 0.8, leads of 1 and 2, weights of each neighbour of
+0 to 0.2.
 """
 
 from typing import Any
@@ -23,11 +24,11 @@ from .gantry import FullFeed
 
 REHEARSALS = 8
 GAIN, LEAD, NEIGHBOUR = 0.5, 1, 0.05
-OTHER_NOISE = 0x9E3779B97F4A7C15  # added to the state of a generator
+OTHER_NOISE = 0x9E3779B97F4A7C15  # added to the state of the noise generator
 
 
 def corrected(table: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """The next table, from the errors at the end of each step; both of shape ``(steps, k)``."""
+    """Return the next table from the errors at the end of each step, both ``(steps, k)``."""
     ahead = np.concatenate([errors[LEAD:], np.repeat(errors[-1:], LEAD, axis=0)])
     wider = np.pad(table + GAIN * ahead, ((1, 1), (0, 0)), "edge")
     sides = NEIGHBOUR * (wider[:-2] + wider[2:])
@@ -37,15 +38,13 @@ def corrected(table: np.ndarray, errors: np.ndarray) -> np.ndarray:
 class Repeated:
     """A law and a table of corrections of its set-points, learned on a twin before each episode."""
 
-    ERROR: str  # of what is seen, to be brought to 0, in the unit of the correction
-
     def __init__(self, law: Any, env: ServoEnv):
         self._law, self._env, self._known = law, env, datasheet(env)
         args, arguments = env._arguments
         self._twin = type(env)(*args, **arguments)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Rehearse."""
+        """Rehearse the episode on the twin, then begin it."""
         self._law.reset(observation, info)
         axes = len(self._errors(observation))
         self.table = np.zeros((self._known.steps, axes))
@@ -65,7 +64,7 @@ class Repeated:
         self._begin(observation, info)
 
     def learn(self, errors: np.ndarray) -> None:
-        """One iteration, of the errors at the end of each step."""
+        """Take one iteration, from the errors at the end of each step."""
         self.table = corrected(self.table, errors)
 
     def _begin(self, observation: np.ndarray, info: dict[str, Any]) -> None:
@@ -73,26 +72,26 @@ class Repeated:
         self._law.reset(observation, info)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """That of the law, and the correction learned for this step."""
+        """Return the action of the law plus the correction learned for this step."""
         learned = self.table[min(self._step, len(self.table) - 1)]
         self._step += 1
         action = self._law.act(observation)
         return np.clip(action + self._known.action(correction=learned), -1.0, 1.0)
 
     def _errors(self, observation: np.ndarray) -> np.ndarray:
-        """In units of the correction, one an axis."""
+        """Return the error of each axis, in units of the correction."""
         raise NotImplementedError
 
 
 class RepeatedTracking(Repeated):
-    """On top of `feed_forward`; the tracking error has the unit of the correction."""
+    """Corrections of `feed_forward`; the tracking error has the unit of the correction."""
 
     def _errors(self, observation: np.ndarray) -> np.ndarray:
         return np.array([float(self._known.named(observation).error)])
 
 
 class RepeatedContour(Repeated):
-    """On top of `full_feed`, against where that law wants the axes to be at the end of a step."""
+    """Corrections of `full_feed`, from where that law wants the axes at the end of a step."""
 
     def __init__(self, law: FullFeed, env: ServoEnv):
         super().__init__(law, env)
@@ -104,15 +103,15 @@ class RepeatedContour(Repeated):
         return behind - self._law.lead / self._known.constant("correction")
 
 
-REPEATED: dict[str, tuple[Any, Any]] = {  # by the policy that is repeated
+REPEATED: dict[str, tuple[Any, Any]] = {  # by the law that is corrected
     "feed_forward": (FeedForward, RepeatedTracking),
     "full_feed": (FullFeed, RepeatedContour),
 }
 
 
 def repeated(env: ServoEnv, seed: int) -> Repeated:
-    """That of the task. Raises ValueError where there is none."""
+    """Return the law of the task with rehearsals. Raises ValueError if the task has none."""
     for name, (law, kind) in REPEATED.items():
         if name in env.POLICIES:
             return kind(law(datasheet(env), seed), env)
-    raise ValueError(f"no motion of {env.ID} is repeated; those of {', '.join(REPEATED)} are")
+    raise ValueError(f"{env.ID} has no motion to rehearse: it offers none of {', '.join(REPEATED)}")

@@ -12,8 +12,8 @@ class Script:
     """Runs a script anew in every episode.
 
     Args:
-        steps: makes the generator. Its first action is for the observation of the reset; after
-            its end the last action is repeated.
+        steps: makes the generator. Its first action answers the observation of the reset; after its
+            end the last action is repeated.
     """
 
     def __init__(self, steps: Callable[[], Steps]):
@@ -24,7 +24,7 @@ class Script:
         self._running, self._begun = self._steps(), False
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The next action."""
+        """Return the next action."""
         try:
             self._action = self._running.send(observation) if self._begun else next(self._running)
             self._begun = True

@@ -1,8 +1,8 @@
-"""Policies on a machine that runs already: they take it over, give it back, or are compared on it.
+"""Policies on a machine that is already running: they take it over, or are compared on copies.
 
-An environment is made around the machine as it stands: its `place`, which brings a machine where an
-episode begins, only enables the drives. Its process images go through whoever lets time pass. What
-fits a machine is said by `envs.tasks.fitting`: a task, what a goal is there, what is looked at.
+An environment is made around the machine as it stands: its `place`, which otherwise moves a machine
+to the start of an episode, only enables the drives. Its process images pass through the loop that
+advances time. `envs.tasks.fitting` states which task, goal and displayed value fit a machine.
 """
 
 import copy
@@ -21,17 +21,17 @@ from ...envs.panel.bench import Interrupted
 from ...envs.tasks.fitting import LINEAR, Fitting
 from . import Bound, BuiltIn, make, needed
 
-TIME = 1.5  # s that policies are compared for
+TIME = 1.5  # s, the length of a comparison
 
 
 class Course(NamedTuple):
-    """How a policy did."""
+    """The result of a policy in a comparison."""
 
     policy: str
     time: np.ndarray  # s
-    value: np.ndarray  # what is looked at, in the unit of `Fitting.shown`
+    value: np.ndarray  # displayed value, in the unit of `Fitting.shown`
     torque: np.ndarray  # of the first drive, % of the rated torque
-    settling_time: float  # s, until it stays within the tolerance; nan: it did not
+    settling_time: float  # s, until it stays within the tolerance; nan if it does not
     figures: Mapping[str, str]
     fault: str
 
@@ -55,7 +55,7 @@ class _Line:
                 for drive, image in zip(drives, rpdos.reshape(len(drives), -1), strict=True):
                     drive.latch(image.tobytes())
             self.cycle()
-            if self.pilot.released:  # by who was let in by the cycle: the mapping is another one
+            if self.pilot.released:  # during the cycle, so the mapping has changed
                 raise Interrupted
         for drive, image in zip(drives, tpdos.reshape(len(drives), -1), strict=True):
             image[:] = np.frombuffer(drive.collect(), np.uint8)
@@ -96,19 +96,19 @@ class TakeOver:
         ]
 
         class Here(fits.task):  # type: ignore[misc,name-defined]
-            """The task on the machine that is there."""
+            """The task on the machine as it stands."""
 
             def _make(self, model: Any) -> Machine:
                 fits.beside(self, partial(super()._make, model), given)
                 return machine
 
             def join(self, batch: Any, row: int) -> None:
-                """Its images go through the line."""
+                """Send its process images through the line."""
                 super().join(batch, row)
                 batch.lines[int(batch.worlds[row])] = _Line(self, pilot, passing, late)
 
             def place(self, positions: Any, believed: Any = None) -> None:
-                """The drives are enabled, in the mode of the task."""
+                """Enable the drives in the mode of the task."""
                 port = MachinePort(machine)
                 port.exchange = passing  # type: ignore[method-assign]
                 names = [*(self.DRIVES or machine.drives)]
@@ -127,7 +127,7 @@ class TakeOver:
             made = make(policy, self.env, 0)
             if isinstance(made, BuiltIn | Bound):
                 raise ValueError(
-                    f"policy {policy!r} gives no actions, there is nothing to take over"
+                    f"policy {policy!r} gives no actions and cannot take over: choose another one"
                 )
             self.policy = made
             self._observation, info = self.env.reset(seed=0, options=options)
@@ -137,12 +137,12 @@ class TakeOver:
         self.policy.reset(self._observation, info)
 
     def step(self) -> None:
-        """One step of the policy."""
+        """Take one step of the policy."""
         action = self.policy.act(self._observation)
         self._observation, *_ = self.env.step(action)
 
     def release(self) -> None:
-        """PDO mapping and following error window as they were; axes come to rest and hold."""
+        """Restore PDO mapping and following error window; the axes come to rest and hold."""
         self.released = True
         for drive, rpdos, tpdos, window in self._before:
             if drive.state == State.OPERATION_ENABLED and _moves(drive):  # not at once: its ramp
@@ -154,16 +154,16 @@ class TakeOver:
 
 
 def _moves(drive: Any) -> bool:
-    """Faster than a hundredth of its profile velocity."""
+    """Whether a drive is faster than a hundredth of its profile velocity."""
     return abs(int(drive.axis.od.velocity_actual_value)) > 0.01 * drive.read("profile_velocity")
 
 
 def _asked(
     fitting: Fitting, machine: Machine, goal: float
 ) -> tuple[dict[str, float], dict[str, Any], dict[str, Any]]:
-    """Positions, the arguments of the environment, the options of its reset.
+    """Return positions, arguments of the environment and options of its reset.
 
-    Raises ValueError for a machine that does not stand as the task needs it.
+    Raises ValueError if the machine is not referenced, moves, or does not fit the task.
     """
     task, port, given = fitting.task, MachinePort(machine), {}
     for name in task.DRIVES or machine.drives:
@@ -182,7 +182,7 @@ def _asked(
 def compare(
     machine: Machine, policies: list[str], goal: float, fitting: Fitting | None = None
 ) -> list[Course]:
-    """Let policies do the same on copies of a machine; it stays as it is."""
+    """Play policies towards the same goal on copies of a machine, which stays as it is."""
     fitting, courses = fitting or LINEAR, []
     for name in policies:
         twin = copy.deepcopy(machine)
@@ -210,12 +210,12 @@ def compare(
 
 
 class Laboratory:
-    """What the panel needs of the policies: names, one that takes over, several side by side.
+    """The policies as the panel uses them: one takes over, or several are compared.
 
     Args:
-        fitting: by the name of an axis; what fits there.
-        shipped_only: whether only the policies that are offered may be named; for people who must
-            not choose which program runs here.
+        fitting: returns what fits an axis, by its name.
+        shipped_only: whether only the offered policies may be named, for users who must not choose
+            which program runs here.
     """
 
     def __init__(
@@ -231,20 +231,20 @@ class Laboratory:
         return fitting
 
     def fitting(self, axis: str) -> Fitting:
-        """What is offered at an axis."""
+        """Return what is offered for an axis."""
         return self._fitting(axis)
 
     def agent(self, session: Any, axis: str, name: str, goal: float) -> TakeOver:
-        """A policy that commands the machine of a session."""
+        """Return a policy that commands the machine of a session."""
         return TakeOver(
             session.machine, name, goal, self._allowed(axis, name), session.cycle,
             lambda: session.delay,
         )
 
     def prepare(self, machine: Machine, axis: str, name: str, goal: float) -> None:
-        """What takes long when a policy is made for the first time; on a copy of the machine."""
+        """Make a policy on a copy of the machine, so that the first real one is quick."""
         TakeOver(machine, name, goal, self._allowed(axis, name)).step()
 
     def compare(self, machine: Machine, axis: str, names: list[str], goal: float) -> list[Course]:
-        """Side by side, on copies."""
+        """Compare policies side by side, on copies."""
         return compare(machine, names, goal, self._allowed(axis, *names))

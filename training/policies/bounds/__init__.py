@@ -1,1 +1,1 @@
-"""Certified bounds: what no controller can do better, whatever it knows, in an episode drawn."""
+"""Certified bounds: what no controller can exceed in a given episode, whatever it knows."""

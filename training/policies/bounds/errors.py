@@ -1,16 +1,16 @@
 """The least error of a motion along a reference, with a certificate.
 
-A reference asks for more than the torque gives where it jumps. Around the sharpest place of it, for
-`SIDE` samples before and behind, the least squared error is bounded from below by Fenchel duality:
-for any weights λ of the samples, of which the state at the beginning of that part sees nothing,
+Where a reference jumps, it demands more than the torque can give. For `SIDE` samples before and
+after its sharpest turn, the squared error is bounded from below by Fenchel duality. For any weights
+λ of the samples that are orthogonal to the effect of the state at the beginning of that part,
 
-    |e|² ≥ max(λ (r - weight) - most that torques and disturbances make of λ, 0)² / |λ|²
+    |e|² ≥ max(λ (r - weight) - most that torques and disturbances add to λ, 0)² / |λ|²
 
 in closed form over every cycle of the torque. The weights are the residuals of a bounded
 least-squares program (`scipy.optimize.lsq_linear`) with torques that are constant for `COARSE`
-cycles; if it ends early, the bound is lower and still holds. The state at the beginning, and the
-torque that the motor has there, are free: what came before may be anything. All other samples
-count with no error, so the bound says nothing of what is smooth: there it is 0.
+cycles; if it ends early, the bound is lower and still holds. The state and the motor torque at the
+beginning are free, because any motion may have come before. All other samples count as free of
+error, so the bound is 0 for a smooth reference.
 """
 
 import numpy as np
@@ -19,22 +19,22 @@ from .plant import LOAD, SPEED, Plant
 from .times import COARSE, scipy
 
 SIDE = 12  # samples
-EXACT = 1e-12  # relative, of what a state at the beginning may still add
+EXACT = 1e-12  # relative, the most that a state at the beginning may still add
 
 
 def sharpest(reference: np.ndarray) -> int:
-    """The sample at which the reference turns the most."""
+    """Return the sample at which the reference turns most sharply."""
     return 1 + int(np.argmax(np.abs(np.diff(reference, 2))))
 
 
 def least_squares(plant: Plant, reference: np.ndarray, every: int, age: float) -> float:
-    """The least sum of squared errors over all samples (m²), certified.
+    """Return a certified lower bound of the sum of squared errors over all samples (m²).
 
     Args:
-        plant: over ``2 * SIDE * every`` physics steps at least.
-        reference: where the load has to be, shape ``(samples,)``; the first is that of the start.
+        plant: of an episode, for at least ``2 * SIDE * every`` physics steps.
+        reference: wanted positions of the load, shape ``(samples,)``, beginning with the start (m).
         every: physics steps from one sample to the next.
-        age: of the place that is compared (s).
+        age: age of the position that is compared (s).
     """
     at = sharpest(reference)
     first = max(at - SIDE, 0)

@@ -1,11 +1,11 @@
-"""The linear plant of an episode as it was drawn: what torques and disturbances do to its places.
+"""The linear plant of a drawn episode: how torques and disturbances move it.
 
-It is taken from the model of the physics itself, step by step as the simulator integrates it, by
-differences of one step; linear models lose nothing by that but rounding. What is not linear counts
-as a disturbance that may take any value up to its largest, to the controller's advantage: dry
-friction with stiction and cable chain, cogging, torque ripple. The current loop is the lag of the
-drive's record. Where a gear loses a share of what it carries, or has backlash, there is no such
-largest value, and `NotLinear` is raised.
+The plant is derived from the physics model itself, as the simulator integrates it, by differences
+over one step, which for a linear model are exact up to rounding. What is not linear counts as a
+disturbance that may take any value up to its largest, to the controller's advantage: dry friction
+with stiction and cable chain, cogging, torque ripple. The current loop is the lag in the drive's
+record. A gear that loses a share of what it carries, or has backlash, has no such largest value,
+and `NotLinear` is raised.
 """
 
 import copy
@@ -17,18 +17,18 @@ import numpy as np
 from ....envs.engine import probe
 from ....envs.environment.servo_env import ServoEnv
 
-HELD = 1e12  # kg, of an axis that does not move
-DISPLACED = 1e-4  # of a coordinate (m, rad) or its speed, to see what a step makes of it
+HELD = 1e12  # kg, the inertia of an axis that does not move
+DISPLACED = 1e-4  # the displacement of a coordinate (m, rad) or speed in a difference
 
 
 class NotLinear(ValueError):
-    """The mechanics have what no bounded disturbance stands for."""
+    """No bounded disturbance represents a part of the mechanics."""
 
 
 class Response(NamedTuple):
-    """Of the outputs, 0, 1, 2 … physics steps after one unit of an input lasting one cycle of it.
+    """Outputs 0, 1, 2 … physics steps after an input of one unit that lasts one of its cycles.
 
-    The input may take any value from `low` to `high` in each of its cycles.
+    The input may take any value from `low` to `high` in each cycle.
     """
 
     impulse: np.ndarray  # shape (steps + 1, outputs)
@@ -37,27 +37,27 @@ class Response(NamedTuple):
     high: float
 
     def rows(self, ticks: np.ndarray, output: int) -> np.ndarray:
-        """What each cycle of the input adds to an output after `ticks`, shape (rows, cycles)."""
+        """Return what each cycle of the input adds to an output after `ticks`, (rows, cycles)."""
         cycles = np.arange(-(-int(ticks.max()) // self.cycle))
         since = ticks[:, None] - self.cycle * cycles[None, :]
         return np.where(since > 0, self.impulse[np.maximum(since, 0), output], 0.0)
 
     def least(self, weights: np.ndarray) -> float:
-        """The least that ``weights @ input`` can be, shape ``(cycles,)``."""
+        """Return the least value of ``weights @ input``; weights have the shape ``(cycles,)``."""
         return float(np.minimum(weights * self.low, weights * self.high).sum())
 
 
 class Plant(NamedTuple):
     """One axis of an episode that has begun.
 
-    Outputs: place of the motor side, place of the load, both as the drive's joint counts (m or
-    rad), and the velocity of the load.
+    Outputs: positions of the motor side and of the load, in the coordinate of the driven joint (m
+    or rad), and the velocity of the load.
     """
 
-    free: np.ndarray  # of the outputs if no torque is commanded any more, (steps + 1, 3)
-    begun: np.ndarray  # what weight adds to them from rest at 0 on, (steps + 1, 3)
-    states: np.ndarray  # of the outputs by unit states at the beginning, (steps + 1, 3, states)
-    held: np.ndarray  # of the outputs by 1 Nm that the motor still has, (steps + 1, 3)
+    free: np.ndarray  # outputs if no torque is commanded any more, (steps + 1, 3)
+    begun: np.ndarray  # what the weight adds to them, from rest at 0, (steps + 1, 3)
+    states: np.ndarray  # outputs for each unit state at the beginning, (steps + 1, 3, states)
+    held: np.ndarray  # outputs for 1 Nm in the motor at the beginning, (steps + 1, 3)
     inputs: tuple[Response, ...]  # the commanded torque (Nm) first, then disturbances (N or Nm)
     timestep: float  # s
 
@@ -66,17 +66,17 @@ MOTOR, LOAD, SPEED = range(3)
 
 
 def plant(env: ServoEnv, steps: int, d: int = 0, arm: dict[int, float] | None = None) -> Plant:
-    """Of an episode that has begun, for as many physics steps.
+    """Return the plant of an episode that has begun.
 
     Args:
         env: the environment, not stepped yet.
-        steps: how many.
+        steps: number of physics steps.
         d: number of the drive.
-        arm: what else the place of the load is the sum of: by coordinate, m per unit of it; what
-            is elastic behind the drive if not given.
+        arm: coordinates that add to the motor's position to give that of the load, with m per unit
+            of each; by default the elastic coordinates behind the drive.
 
     Raises:
-        NotLinear: see above.
+        NotLinear: the mechanics have backlash or a gear with losses.
     """
     machine = env.machine
     coupling, mechanics, axis = machine.couplings[d], machine.mechanics[d], machine.axes[d]
@@ -160,7 +160,7 @@ def plant(env: ServoEnv, steps: int, d: int = 0, arm: dict[int, float] | None = 
 
 
 def _run(a: np.ndarray, outputs: np.ndarray, x: np.ndarray, steps: int, added: Any) -> np.ndarray:
-    """Outputs of ``x ← a x + added`` at its beginning and after each step."""
+    """Return the outputs of ``x ← a x + added`` at the beginning and after each step."""
     seen = np.empty((steps + 1, len(x)))
     seen[0] = x
     for k in range(steps):

@@ -1,14 +1,14 @@
-"""The least time to be in a window and stay there, with a certificate for each episode.
+"""The least time to reach a window and stay there, with a certificate for each episode.
 
-Is there a torque within the limits of the drive that has the load within its window from a physics
-step on? A linear program (`scipy.optimize.linprog`, HiGHS) minimises by how much it lies outside,
-over torques that are constant for `COARSE` cycles. What it finds is no proof, but its multipliers
-are: for any of them, weak duality gives a number below all that *any* torque and disturbance of
-every single cycle can reach, in closed form (a sum of absolute values). Where that number is above
-0, nothing is within the window in time. So the tolerances of the solver do not matter; a solver
-that fails makes the bound lower, never wrong.
+Is there a torque within the limits of the drive that keeps the load in its window from a given
+physics step on? A linear program (`scipy.optimize.linprog`, HiGHS) minimises how far the load lies
+outside, over torques that are constant for `COARSE` cycles. Its solution proves nothing, but its
+multipliers do: for any multipliers, weak duality gives in closed form (a sum of absolute values) a
+distance that *no* torque and disturbance can undercut, even if they change in every cycle. If this
+distance is above 0, the load cannot be in the window in time. The tolerances of the solver
+therefore do not matter; if the solver fails, the bound is lower, but never wrong.
 
-Only some of the instants in the window are asked for, which is to the controller's advantage too.
+Only some of the instants in the window are checked, which is also to the controller's advantage.
 """
 
 from collections.abc import Callable
@@ -18,27 +18,27 @@ import numpy as np
 
 from .plant import LOAD, MOTOR, SPEED, Plant
 
-COARSE = 8  # cycles of a torque in the program, or so many
-PIECES = 120  # that there are no more than these; in the certificate every cycle counts
-ASKED = 40  # instants in the window, and as many before
-MARGIN = 1e-9  # m, that rounding may take
+COARSE = 8  # cycles for which a torque is constant in the program, or more, so that there are
+PIECES = 120  # at most so many torques; the certificate counts every cycle
+ASKED = 40  # instants checked in the window, and as many before
+MARGIN = 1e-9  # m, for rounding
 
 
 class Question(NamedTuple):
-    """When is the load at rest? Lengths in m or rad."""
+    """When has the load settled? Lengths are in m or rad."""
 
     goal: float
-    window: float  # half of it
-    ticks: int  # physics steps from which on, and then every as many, it has to be in the window
+    window: float  # half its width
+    ticks: int  # physics steps between two instants at which the load is judged
     last: int  # physics steps of the episode
-    tail: int  # physics steps in the window that are looked at
-    speed: float = np.inf  # that a set-point can have; the motor side is not farther ahead of it
-    ahead: float = np.inf  # than this: the window of the following error
-    resting: float = np.inf  # that the load may have in the window
+    tail: int  # physics steps for which the load has to stay in the window
+    speed: float = np.inf  # top speed of the set-point
+    ahead: float = np.inf  # the farthest that the motor side can be ahead of the set-point
+    resting: float = np.inf  # the highest speed of a load that counts as settled
 
 
 def scipy() -> object:
-    """`scipy.optimize`. Raises ImportError with the command that installs it."""
+    """Return `scipy.optimize`. Raises ImportError with the command that installs it."""
     try:
         from scipy import optimize
     except ModuleNotFoundError as error:
@@ -47,7 +47,7 @@ def scipy() -> object:
 
 
 def least_ticks(plant: Plant, asked: Question) -> int:
-    """Physics steps before which no torque within the limits has it settled, certified."""
+    """Return the physics steps before which no torque can settle the load, certified."""
 
     def impossible(ticks: int) -> bool:
         return outside(plant, asked, ticks) > MARGIN
@@ -73,9 +73,9 @@ def _last(impossible: Callable[[int], bool], low: int, high: int) -> int:
 
 
 def outside(plant: Plant, asked: Question, ticks: int) -> float:
-    """How far outside its window the load is at some time from `ticks` on, at least (m).
+    """Return how far at least the load is outside its window at some time from `ticks` on (m).
 
-    At most 0 where that is not known.
+    The value is at most 0 if this is not known.
     """
     end = min(ticks + asked.tail, asked.last)
     if ticks >= end:
@@ -117,7 +117,7 @@ def outside(plant: Plant, asked: Question, ticks: int) -> float:
 def _multipliers(
     plant: Plant, exact: list[np.ndarray], left: np.ndarray, slack: np.ndarray
 ) -> np.ndarray | None:
-    """Of the rows, not negative, `slack` times them at most 1 in sum; None: the solver failed."""
+    """Return a multiplier ≥ 0 for each row, with ``slack @ multipliers`` = 1; None if it fails."""
     coarse, bounds = [], []
     for response, matrix in zip(plant.inputs, exact, strict=True):
         span = max(COARSE, matrix.shape[1] // PIECES)
@@ -126,7 +126,7 @@ def _multipliers(
         scale = max(abs(response.low), abs(response.high))
         coarse.append(scale * joined)
         bounds += [(response.low / scale, response.high / scale)] * joined.shape[1]
-    unit = 1e3  # mm: the program is scaled as its solver likes it
+    unit = 1e3  # mm: the solver works best on numbers near 1
     matrix = unit * np.hstack([*coarse, -slack[:, None] / unit])
     cost = np.zeros(matrix.shape[1])
     cost[-1] = 1.0

@@ -1,1 +1,1 @@
-"""Policies that were trained: their files, the network they are, and the actions they correct."""
+"""Trained policies: their files, their networks, and corrections of other policies."""

@@ -1,4 +1,4 @@
-"""A policy that was trained: the folder of a checkpoint, or of a run of `servogym train`."""
+"""A trained policy, from the folder of a checkpoint or of a run of `servogym train`."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +14,7 @@ from .saved import ABOUT, STATISTICS, ZIP, read
 
 @lru_cache(maxsize=32)
 def _opened(place: Path, stamp: tuple[int, ...]) -> tuple[Any, weights.Weights, Any]:
-    """What a checkpoint is, its weights and its network: one for all who play it."""
+    """Return the description, weights and network of a checkpoint, shared by all its players."""
     if place.suffix == ZIP:
         arrays, kind = zipped.read(place)
         return {"arguments": {}}, arrays, arrays.played(kind)
@@ -31,17 +31,17 @@ def _stamp(place: Path) -> tuple[int, ...]:
 class Learned:
     """The best policy of a run, or that of a checkpoint, without exploration.
 
-    One that was trained with a history keeps it itself where the environment shows none. One that
-    was trained as a correction of another policy (`servogym train --residual`) brings that policy.
+    A policy that was trained with a history keeps the history itself if the environment has none. A
+    correction of another policy (`servogym train --residual`) makes that policy as well.
 
     Args:
-        folder: of a run, with `best/`, or of one checkpoint; or `model.zip` of stable-baselines3,
-            which does not say for which environment it was trained.
-        env: which it shall serve.
-        seed: of what is random in the policy it corrects.
+        folder: folder of a run, with `best/`, or of one checkpoint; or `model.zip` of
+            stable-baselines3, which does not state its environment.
+        env: environment in which it acts.
+        seed: seed of the policy that it corrects.
 
     Raises:
-        ValueError: no checkpoint, or one of another environment or with other spaces.
+        ValueError: there is no checkpoint, or it is of another environment or has other spaces.
         ImportError: its network needs stable-baselines3; the message has the command.
     """
 
@@ -51,14 +51,14 @@ class Learned:
         if about.get("env_id", env.ID) != env.ID:
             raise ValueError(
                 f"checkpoint {folder} was trained for {about['env_id']}, not for {env.ID}: "
-                "take it to that environment, or train one"
+                "play it there, or train one for this environment"
             )
         arguments = about["arguments"]
         self._history = int(arguments.get("history", 1))
         self._previous_action = bool(arguments.get("previous_action", False))
         (shown,) = env.observation_space.shape  # type: ignore[misc]
         wanted, _ = self._weights.shape
-        if wanted == shown:  # as the environment shows it
+        if wanted == shown:  # the environment keeps the history
             self._history, self._previous_action = 1, False
         actions = env.action_space.shape[0]  # type: ignore[index]
         if wanted != self._history * shown + self._previous_action * actions:
@@ -74,14 +74,14 @@ class Learned:
         self._bounds = checked(about["bounds"], env) if residual else np.ones(actions, np.float32)
 
     def reset(self, observation: np.ndarray, info: dict[str, Any]) -> None:
-        """Begin its history, if it has one."""
+        """Begin an episode with the first observation as its history."""
         self._frames = [observation] * self._history
         self._action = np.zeros_like(self._action)
         if self._base is not None:
             self._base.reset(observation, info)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The mean action."""
+        """Return the mean action."""
         self._frames = [observation, *self._frames[: self._history - 1]]
         seen = np.concatenate([*self._frames, self._action[: self._seen_actions]])
         self._action = self._actor(seen)

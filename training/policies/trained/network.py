@@ -1,8 +1,8 @@
-"""A network of a few layers, compiled, with one order of its sums: the same bits on any processor.
+"""A compiled network of a few layers whose sums have a fixed order: equal bits on any processor.
 
-A library for matrices, and NumPy for a tanh, choose by the processor they find how they add and
-approximate. The last bit then differs from machine to machine, and after some hundred steps of a
-task so does everything.
+Matrix libraries, and NumPy for tanh, choose the order of their sums and their approximations by the
+processor. The last bit then differs between machines, and after some hundred steps of a task so
+does everything.
 """
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from ....drive.kernel.jit import block, entry
 
 ZERO, ONE = np.array([0.0, 1.0], np.float32)
-TANH, RELU, CLIP = range(3)  # what a layer does with its sums
-# tanh as a rational function (that of Eigen): within 4e-7 of it, and vectorised by the compiler
-FLAT = np.float32(7.90531110763549805)  # beyond which it is 1
+TANH, RELU, CLIP = range(3)  # activations
+# tanh as a rational function (that of Eigen), accurate to 4e-7 and vectorised by the compiler
+FLAT = np.float32(7.90531110763549805)  # beyond it tanh is 1
 A0, A1, A2, A3, A4, A5, A6 = np.array([
     -2.76076847742355e-16, 2.00018790482477e-13, -8.60467152213735e-11, 5.12229709037114e-08,
     1.48572235717979e-05, 6.37261928875436e-04, 4.89352455891786e-03,
@@ -46,15 +46,15 @@ def _shape(z, does):
 
 @entry
 def forward(numbers, widths, inner, last, seen, output):
-    """What the last layer tells of what is seen.
+    """Write the output of the network for an input.
 
     Args:
-        numbers: of each layer the weights, (inputs, outputs), and the biases, float32.
-        widths: of the input, and of the output of each layer.
-        inner: TANH, RELU or CLIP: of all layers but the last.
-        last: of the last.
-        seen: shape ``(widths[0],)``, float32.
-        output: to write, shape ``(widths[-1],)``, float32.
+        numbers: for each layer its weights, (inputs, outputs), then its biases, float32.
+        widths: of the input and of the output of each layer.
+        inner: activation of all layers but the last: TANH, RELU or CLIP.
+        last: activation of the last layer.
+        seen: input, shape ``(widths[0],)``, float32.
+        output: output to be written, shape ``(widths[-1],)``, float32.
     """
     x, begin = seen, 0
     for layer in range(widths.shape[0] - 1):

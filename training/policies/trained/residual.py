@@ -1,8 +1,8 @@
-"""Residual learning: a bounded correction on top of a policy that is already there.
+"""Residual learning: a bounded correction of the actions of another policy.
 
 The action of the environment is ``clip(baseline + bounds × correction, -1, 1)``, component by
-component: a correction of 0 is the baseline, bit for bit (Johannink et al. 2019, Silver et al.
-2018).
+component. With a correction of 0 it is the baseline, bit for bit (Johannink et al. 2019, Silver et
+al. 2018).
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,18 @@ from ..bound import Bound
 from ..homing import BuiltIn
 from .saved import registered
 
-PUBLIC = ("goal", "state", "fault")  # of the infos, what a policy may see
+PUBLIC = ("goal", "state", "fault")  # the infos that a policy may see
 
 
 def public(info: dict[str, Any]) -> dict[str, Any]:
-    """What a policy may see of the info of an environment."""
+    """Return the part of an environment's info that a policy may see."""
     return {name: info[name] for name in PUBLIC if name in info}
 
 
 def checked(bounds: Sequence[float], env: ServoEnv) -> np.ndarray:
-    """The bounds of a correction, float32, one a component of an action.
+    """Return the bounds of a correction as float32, one for each component of an action.
 
-    Raises ValueError for another number of them, or one that is not in 0..1.
+    Raises ValueError for another number of bounds, or a bound outside 0..1.
     """
     wanted = fields.names(env.action_record)
     array = np.asarray(bounds, np.float32)
@@ -43,7 +43,7 @@ def checked(bounds: Sequence[float], env: ServoEnv) -> np.ndarray:
 
 
 def baseline(name: str, env: ServoEnv, seed: int = 0) -> Any:
-    """The policy that is corrected. Raises ValueError where it does not fit the task."""
+    """Return the policy that is corrected. Raises ValueError if it does not fit the task."""
     from .. import make
 
     policy = make(name, env, seed)
@@ -55,7 +55,7 @@ def baseline(name: str, env: ServoEnv, seed: int = 0) -> Any:
 
 
 def corrected(base: np.ndarray, bounds: np.ndarray, correction: np.ndarray) -> np.ndarray:
-    """The action, float32 in -1..1."""
+    """Return the corrected action, float32 in -1..1."""
     return np.clip(base + bounds * np.asarray(correction, np.float32), -1.0, 1.0)
 
 
@@ -64,17 +64,18 @@ def _listed(bounds: Sequence[float]) -> str:
 
 
 class ResidualVectorEnv(ServoVectorEnv):
-    """Environments whose actions are corrections of a policy, each with a policy of its own.
+    """Environments whose actions are corrections of a policy, each with its own copy of it.
 
     Args:
         task: class of the environments.
-        num_envs: how many.
-        residual: the policy that is corrected, by a name that `make` knows.
+        num_envs: number of environments.
+        residual: name of the policy that is corrected, as `make` takes it.
         bounds: the largest correction of each component of an action, 0..1.
         **arguments: of `ServoVectorEnv` and of the task.
 
     Raises:
-        ValueError: the policy does not fit the task, wrong bounds, and as `ServoVectorEnv` does.
+        ValueError: the policy does not fit the task, the bounds are wrong, or `ServoVectorEnv`
+            refuses an argument.
     """
 
     def __init__(
@@ -109,10 +110,10 @@ class ResidualVectorEnv(ServoVectorEnv):
         return result
 
     def _look(self, observations: np.ndarray, rows: list[int]) -> None:
-        """What the policies do next; they see each observation once."""
+        """Ask the policies for their next actions; they see each observation once."""
         for i in rows:
             self._bases[i] = self._policies[i].act(observations[i])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Refused: what a policy remembers cannot be told. Raises TypeError."""
+        """Raise TypeError, because the memory of the policies cannot be copied."""
         raise TypeError("a ResidualVectorEnv cannot be copied or pickled in mid-episode")

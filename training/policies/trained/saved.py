@@ -1,8 +1,8 @@
-"""Policies that were trained, as a training run saves them: one folder each.
+"""Trained policies as a training run saves them: one folder each.
 
-`weights.npz` is the policy, `checkpoint.json` says what the run is and how far it has come. A
-folder may come from anybody: its files are read by `servogym.drive.model.foreign`, and what they
-name is looked up in tables, never imported.
+`weights.npz` is the policy; `checkpoint.json` describes the run and its progress. A folder may come
+from anybody: its files are read by `servogym.drive.model.foreign`, and the names in them are looked
+up in tables, never imported.
 """
 
 from contextlib import suppress
@@ -16,14 +16,14 @@ from ....drive.model.foreign import Key
 from ....drive.model.names import hint
 from ....envs.engine.checks import flag, in_range, whole
 
-BEST = "best"  # of a run, the policy of the best evaluation
+BEST = "best"  # folder of a run with the policy of the best evaluation
 ABOUT, MODEL, STATISTICS = "checkpoint.json", "model.zip", "vecnormalize.pkl"
 ZIP = ".zip"  # of a model that stable-baselines3 saved
 ALGORITHMS = ("PPO", "SAC", "A2C", "TD3", "DDPG")  # of stable-baselines3, whose policies are played
-# of episodes by which policies are judged, all evaluation seeds; no training may have them
+# Seeds of all episodes by which policies are judged; no training may use them.
 HELD_OUT_SEEDS = range(1_000_000, 1_000_000 + 1_000 * 1_000_001)
-COUNTED = {"envs": (1, 100_000), "seed": (0, 2**31 - 1)}  # of a training: least, most
-MOST_STEPS = 10**15  # of a training, and its longest time (s)
+COUNTED = {"envs": (1, 100_000), "seed": (0, 2**31 - 1)}  # of a training: lowest, highest
+MOST_STEPS = 10**15  # of a training, and also the limit of its time (s)
 NOTHING = type(None)
 KEYS = {  # of `checkpoint.json`
     "env_id": Key(str, True), "algorithm": Key(str, True), "arguments": Key(dict, True),
@@ -36,14 +36,14 @@ KEYS = {  # of `checkpoint.json`
 
 
 def stable_baselines3() -> ModuleType:
-    """The library. Raises ImportError, with the command that installs it, where it is missing."""
+    """Return the library. Raises ImportError with the command that installs it if missing."""
     try:
         import stable_baselines3
     except ModuleNotFoundError as error:
         raise ImportError(
             f"training needs stable-baselines3 ({error}): pip install 'servogym[train]'"
         ) from None
-    with suppress(ImportError):  # optimizers do it, whose LLVM makes it crash after Mesa's
+    with suppress(ImportError):  # optimizers import it; its LLVM crashes if Mesa's came first
         import triton  # noqa: F401
     return stable_baselines3
 
@@ -61,7 +61,7 @@ def folder(of: Path) -> Path:
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """What `checkpoint.json` says. Raises ValueError where it is not what a run wrote."""
+    """Return the content of `checkpoint.json`. Raises ValueError if no run wrote it."""
     try:
         return about(content(folder / ABOUT, "a checkpoint"), str(folder / ABOUT))
     except OSError as error:
@@ -76,8 +76,8 @@ INSTEAD = "remove its folder, and the one before is taken"
 def about(data: bytes, where: str) -> dict[str, Any]:
     """Parse the bytes of a checkpoint's description.
 
-    Raises ValueError where they are damaged, or name an algorithm or a policy to be corrected that
-    is none of the tables: nothing a file names is imported.
+    Raises ValueError if they are damaged, or name an algorithm or a corrected policy that is not in
+    the tables: nothing that a file names is imported.
     """
     found = foreign.parsed(data, where, KEYS)
     one: dict[str, Any] | None = found
@@ -112,7 +112,7 @@ def _fits(found: dict[str, Any], where: str) -> None:
 
 
 def judged_apart(where: str, seed: int, envs: int) -> None:
-    """Raise ValueError where a training would meet episodes by which policies are judged."""
+    """Raise ValueError if a training would use episodes by which policies are judged."""
     low, high = HELD_OUT_SEEDS.start, HELD_OUT_SEEDS.stop - 1
     if seed <= high and seed + envs > low:
         raise ValueError(
@@ -122,9 +122,9 @@ def judged_apart(where: str, seed: int, envs: int) -> None:
 
 
 def registered(residual: str, where: str) -> None:
-    """Raise ValueError where a policy to be corrected has no registered name.
+    """Raise ValueError if a policy to be corrected has no registered name.
 
-    A correction goes wherever its folder goes; a file beside it would be a program from elsewhere.
+    The folder of a correction may be passed on; a file beside it would be a foreign program.
     """
     from .. import ENTRY_POINTS, declared
 

@@ -1,7 +1,7 @@
-"""Weights as arrays: what a trained policy is, in a file that runs no code when it is read.
+"""A trained policy as arrays, in a file that runs no code when it is read.
 
-`weights.npz` holds the arrays of the network by name, the width of what it sees and does, and the
-running means its observations are normalised by. Playing it takes NumPy and no torch. An older
+`weights.npz` holds the arrays of the network by name, the numbers of its inputs and outputs, and
+the running means that normalise its observations. Playing it needs NumPy, but not torch. An older
 checkpoint has `model.zip` instead, which `zipped` reads.
 """
 
@@ -20,19 +20,19 @@ WEIGHTS = "weights.npz"
 NETWORK = "network/"
 Layer = tuple[np.ndarray, np.ndarray]  # weights (outputs, inputs), biases (outputs,)
 
-PLAIN = {"net_arch", "log_std_init"}  # of policy_kwargs: what changes no more than the widths
+PLAIN = {"net_arch", "log_std_init"}  # the policy_kwargs that change at most the widths
 
 
-WIDEST, MOST_LAYERS = 4096, 64  # of a network that a file may ask for: memory is held for it
+WIDEST, MOST_LAYERS = 4096, 64  # limits of a network in a file, because memory is allocated for it
 
 
 class Kind(NamedTuple):
-    """How the networks of an algorithm are built; what their layers do is of `network`."""
+    """The structure of an algorithm's network; activations are those of `network`."""
 
-    hidden: str  # prefix of its layers
-    last: str  # layer; empty: it is the last of the hidden ones
+    hidden: str  # prefix of its hidden layers
+    last: str  # name of the last layer; empty: the last hidden layer is it
     activation: int
-    output: int  # of the last layer
+    output: int  # activation of the last layer
 
 
 KNOWN = {
@@ -45,16 +45,16 @@ KNOWN = {
 
 
 class Weights(NamedTuple):
-    """What `weights.npz` holds."""
+    """The content of `weights.npz`."""
 
-    shape: tuple[int, int]  # numbers seen, actions
+    shape: tuple[int, int]  # numbers of inputs and actions
     network: dict[str, np.ndarray]
     mean: np.ndarray | None  # of the observations; None: they are not normalised
     variance: np.ndarray | None
-    limits: tuple[float, float]  # largest normalised observation, what is added to the variance
+    limits: tuple[float, float]  # largest normalised observation, addition to the variance
 
     def policy(self, about: dict[str, Any]) -> Any:
-        """The policy of stable-baselines3. Raises ValueError where the arrays do not fit it."""
+        """Return the policy of stable-baselines3. Raises ValueError if the arrays do not fit."""
         import gymnasium as gym
         import torch
 
@@ -71,7 +71,7 @@ class Weights(NamedTuple):
             )
         try:
             policy = algorithm.policy_aliases["MlpPolicy"](seen, actions, lambda _: 0.0, **more)
-        except Exception as error:  # of any layer that was given what it cannot be built of
+        except Exception as error:  # layers raise anything for arguments they cannot take
             raise ValueError(f"{ABOUT}: policy_kwargs = {more} make no network: {error}") from None
         try:
             arrays = {name: torch.from_numpy(array) for name, array in self.network.items()}
@@ -82,9 +82,9 @@ class Weights(NamedTuple):
         return policy
 
     def actor(self, about: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray]:
-        """The mean action for an observation as it was seen; raises as `policy` does.
+        """Return a function from observation to mean action; raises as `policy` does.
 
-        Compiled where the network is `known`, else by torch.
+        It is compiled if the network is `known`, and played by torch otherwise.
         """
         if (kind := known(about, self.network)) is not None:
             return self.played(kind)
@@ -100,7 +100,7 @@ class Weights(NamedTuple):
         return lambda seen: mean(self.normalised(seen))
 
     def normalised(self, observation: np.ndarray) -> np.ndarray:
-        """An observation as the network was trained on."""
+        """Return an observation normalised as in the training."""
         if self.mean is None or self.variance is None:
             return observation
         clip, epsilon = self.limits
@@ -109,7 +109,7 @@ class Weights(NamedTuple):
 
 
 def _numbers(settings: Any) -> list[float]:
-    """All numbers in a table or list, however deep."""
+    """Return all numbers in a table or list at any depth."""
     if isinstance(settings, dict | list):
         inner = settings.values() if isinstance(settings, dict) else settings
         return [number for value in inner for number in _numbers(value)]
@@ -119,14 +119,14 @@ def _numbers(settings: Any) -> list[float]:
 def compiled(
     kind: Kind, arrays: Mapping[str, np.ndarray], shape: tuple[int, int]
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """The mean action, float32 in -1..1, for a normalised observation.
+    """Return a function from normalised observation to mean action, float32 in -1..1.
 
     Actions differ from torch's by the rounding of float32, 1e-6.
 
     Args:
-        kind: how the network is built.
-        arrays: of the network, by the names torch gives them.
-        shape: numbers seen, actions.
+        kind: structure of the network.
+        arrays: arrays of the network by torch's names.
+        shape: numbers of inputs and actions.
 
     Raises:
         ValueError: the arrays do not fit one another.
@@ -152,20 +152,20 @@ def compiled(
 
 
 def known(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Kind | None:
-    """How the network of a checkpoint is built; None for one that only its library can play.
+    """Return the structure of a checkpoint's network; None if only its library can play it.
 
-    Known are those of ``MlpPolicy`` with the activations it has where nothing else is said: tanh of
-    PPO and A2C, ReLU of SAC, TD3 and DDPG.
+    The networks of ``MlpPolicy`` with default activations are known: tanh for PPO and A2C, ReLU for
+    SAC, TD3 and DDPG.
     """
     kind = KNOWN.get(about["algorithm"])
     if kind is None or set(about["hyperparameters"].get("policy_kwargs", {})) - PLAIN:
         return None
-    bounded = kind.last and f"{kind.last}.0.weight" in arrays  # of SAC with use_sde
+    bounded = kind.last and f"{kind.last}.0.weight" in arrays  # SAC with use_sde
     return None if bounded else kind
 
 
 def chain(kind: Kind, arrays: Mapping[str, np.ndarray]) -> list[Layer]:
-    """Weights and biases of each layer. Raises ValueError for one that is missing."""
+    """Return weights and biases of each layer. Raises ValueError if one is missing."""
     layers = _layers(arrays, kind.hidden)
     if kind.last:
         layers.append(_layer(arrays, kind.last))
@@ -175,7 +175,7 @@ def chain(kind: Kind, arrays: Mapping[str, np.ndarray]) -> list[Layer]:
 
 
 def _layers(arrays: Mapping[str, np.ndarray], name: str) -> list[Layer]:
-    """In their order: between two of them is an activation, which torch counts as well."""
+    """Return the layers in order; torch counts the activation between two of them as well."""
     count = sum(key.startswith(f"{name}.") and key.endswith(".weight") for key in arrays)
     return [_layer(arrays, f"{name}.{2 * i}") for i in range(count)]
 
@@ -194,10 +194,10 @@ def save(model, folder: Path) -> None:
 
 
 def load(folder: Path) -> Weights:
-    """Read them; nothing is unpickled. An older `checkpoint.json` states no SHA-256 of them.
+    """Read weights without unpickling. An older `checkpoint.json` states no SHA-256 of them.
 
     Raises:
-        ValueError: there are none, or the file is no such file, or was changed since.
+        ValueError: the file is missing, is not one of weights, or was changed.
     """
     file = folder / WEIGHTS
     if not file.is_file():

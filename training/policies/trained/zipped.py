@@ -1,10 +1,10 @@
-"""`model.zip` of stable-baselines3 as weights, without running what its pickles say.
+"""Reads weights from `model.zip` of stable-baselines3 without running its pickles.
 
-The file holds the arrays of the network as torch keeps them, its settings as JSON with pickles in
-it, and often `vecnormalize.pkl` lies beside, a pickle with the running means. Arrays are read by
-torch's loader for weights alone. Of the settings only the text beside the pickles is read. The
-running means are read by an unpickler that makes NumPy's arrays, and of every other name a thing
-that does nothing.
+The file holds the arrays of the network in torch's format and its settings as JSON with embedded
+pickles. The running means are often in a pickle beside it, `vecnormalize.pkl`. Arrays are read by
+torch's weights-only loader. Of the settings only the text beside the pickles is read. The running
+means are read by an unpickler that makes NumPy arrays, and for every other name an object that does
+nothing.
 """
 
 import io
@@ -23,7 +23,7 @@ from .saved import MODEL, STATISTICS, stable_baselines3
 from .weights import KNOWN, WEIGHTS, Kind, Weights, chain, load
 
 ACTIVATIONS = {"Tanh": TANH, "ReLU": RELU}
-TELLING = {  # a name of an array, and the algorithm whose policy has it
+TELLING = {  # a part of an array's name, and the algorithm whose policy has it
     "mlp_extractor.policy_net": "PPO", "action_net.": "PPO", "actor.latent_pi.": "SAC",
     "actor.mu.": "TD3",
 }
@@ -31,7 +31,7 @@ OWN = "play it as a class in a file, FILE.py:name, which is a program that you n
 
 
 def of(folder: Path) -> Weights:
-    """The weights in the folder of a checkpoint: its own form, or `model.zip` in its place.
+    """Return the weights of a checkpoint's folder, from `weights.npz` or else `model.zip`.
 
     Raises ValueError as `weights.load` and `read` do.
     """
@@ -40,10 +40,10 @@ def of(folder: Path) -> Weights:
 
 
 def read(file: Path) -> tuple[Weights, Kind]:
-    """The weights in `file`, with the running means beside it, and how its network is built.
+    """Return the weights in `file`, with the running means beside it, and the network's structure.
 
     Raises:
-        ValueError: it is no such file, or a network that is not known; the message says what to do.
+        ValueError: the file is invalid or its network unknown; the message says what to do.
         ImportError: torch is missing; the message has the command.
     """
     parts = _parts(file)
@@ -108,12 +108,12 @@ def _kind(file: Path, settings: dict[str, Any], network: dict[str, np.ndarray]) 
 
 
 class Nothing:
-    """What an unknown name of a pickle becomes: it takes all that is given to it."""
+    """Stands for an unknown name in a pickle, and accepts everything."""
 
     state: Any = None
 
     def __new__(cls, *given: Any, **more: Any) -> "Nothing":
-        """Made of anything."""
+        """Accept any arguments."""
         return super().__new__(cls)
 
     def __init__(self, *given: Any, **more: Any):
@@ -133,7 +133,7 @@ class Nothing:
 
 
 def _empty(subtype: Any, shape: Any, kind: Any) -> np.ndarray:
-    """What NumPy's arrays are unpickled into: they get shape and numbers afterwards."""
+    """Return an empty array, whose shape and numbers are unpickled afterwards."""
     return np.ndarray.__new__(np.ndarray, (0,), "b")
 
 
@@ -151,16 +151,16 @@ ARRAYS = {
 
 
 class Numbers(pickle.Unpickler):
-    """Reads arrays and numbers out of a pickle. No function that it names is called."""
+    """Reads arrays and numbers from a pickle without calling any function it names."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """What a name stands for."""
+        """Return the object that represents a name in the pickle."""
         numpy = module == "numpy" or module.startswith(("numpy.core.", "numpy._core."))
         return ARRAYS.get(name, Nothing) if numpy else Nothing
 
 
 def _means(file: Path) -> tuple[np.ndarray | None, np.ndarray | None, tuple[float, float]]:
-    """Mean and variance of the observations, largest normalised one and what is added; or none."""
+    """Return mean and variance of the observations with their limits, or None."""
     if not file.exists():
         return None, None, (0.0, 0.0)
     try:
