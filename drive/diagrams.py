@@ -23,16 +23,16 @@ from .kernel.words import (
     OwnModes,
     State,
     Statusword,
-    abbreviation,
     controlword_names,
+    mode_words,
     state_of,
     statusword_names,
 )
 
 __all__ = [
     "ENABLED", "MODE_ABBREVIATION", "TO_ENABLED", "Bit", "Controlword", "Limit", "Mode", "State",
-    "Statusword", "Transition", "abbreviation", "controlword_bits", "homing_path",
-    "homing_words", "limits", "state_of", "statusword_bits", "transitions",
+    "Statusword", "Transition", "controlword_bits", "homing_path", "homing_words", "limits",
+    "mode_words", "state_of", "statusword_bits", "transitions",
 ]
 
 

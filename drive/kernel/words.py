@@ -76,36 +76,45 @@ def mode_bit(mode: int) -> int:
     return mode - 1 if mode > 0 else 15 - mode
 
 
-MODE_ABBREVIATION = {
-    Mode.NONE: "-",
-    Mode.PROFILE_POSITION: "pp",
-    Mode.VELOCITY: "vl",
-    Mode.PROFILE_VELOCITY: "pv",
-    Mode.PROFILE_TORQUE: "tq",
-    Mode.HOMING: "hm",
-    Mode.INTERPOLATED_POSITION: "ip",
-    Mode.CYCLIC_SYNC_POSITION: "csp",
-    Mode.CYCLIC_SYNC_VELOCITY: "csv",
-    Mode.CYCLIC_SYNC_TORQUE: "cst",
+class ModeWords(NamedTuple):
+    """Names of a mode of operation and of its bits; empty names are those of unused bits."""
+
+    name: str  # the standard's abbreviation, or the name in drive.toml
+    bits: tuple[str, str, str] = ("", "", "")  # statusword bits 10, 12 and 13
+    bit_4: str = ""  # of the controlword
+    bits_5_6_9: tuple[str, str, str] = ("", "", "")  # of the controlword
+    section: str = ""  # of the manual of a drive model that brings the mode
+
+
+# mode chapters of CiA 402-2
+MODE_WORDS = {
+    Mode.NONE: ModeWords("-"),
+    Mode.PROFILE_POSITION: ModeWords(
+        "pp", ("target_reached", "set_point_acknowledge", "following_error"), "new_set_point",
+        ("change_set_immediately", "relative", "change_on_set_point"),
+    ),
+    Mode.VELOCITY: ModeWords(
+        "vl", ("target_reached", "", ""), "enable_ramp", ("unlock_ramp", "reference_ramp", "")
+    ),
+    Mode.PROFILE_VELOCITY: ModeWords(
+        "pv", ("target_reached", "speed_is_zero", "max_slippage_error")
+    ),
+    Mode.PROFILE_TORQUE: ModeWords("tq", ("target_reached", "", "")),
+    Mode.HOMING: ModeWords(
+        "hm", ("target_reached", "homing_attained", "homing_error"), "homing_operation_start"
+    ),
+    Mode.INTERPOLATED_POSITION: ModeWords(
+        "ip", ("target_reached", "ip_mode_active", ""), "enable_ip_mode"
+    ),
+    Mode.CYCLIC_SYNC_POSITION: ModeWords("csp", ("", "drive_follows_command", "following_error")),
+    Mode.CYCLIC_SYNC_VELOCITY: ModeWords("csv", ("", "drive_follows_command", "")),
+    Mode.CYCLIC_SYNC_TORQUE: ModeWords("cst", ("", "drive_follows_command", "")),
 }
+MODE_ABBREVIATION = {mode: words.name for mode, words in MODE_WORDS.items()}
 
 
-class OwnMode(NamedTuple):
-    """A mode of operation that comes with a model, as `[modes]` of its drive.toml describes it."""
-
-    name: str  # of its functions in modes.py or among the entry points
-    bits: tuple[str, str, str]  # names of the statusword bits 10, 12 and 13; empty: unused
-    bit_4: str  # name of that bit of the controlword
-    section: str  # of the manual
-
-
-OwnModes = Mapping[int, OwnMode]  # by number
+OwnModes = Mapping[int, ModeWords]  # modes that a drive model brings, by number
 NONE_OWN: OwnModes = {}
-
-
-def abbreviation(mode: int) -> str:
-    """The standard's abbreviation of a mode, else its number."""
-    return MODE_ABBREVIATION.get(mode) or str(int(mode))  # type: ignore[call-overload]
 
 
 class Controlword(IntEnum):
@@ -191,35 +200,8 @@ class ManufacturerStatus(IntEnum):
     READY_FOR_ENABLE = 0x4
 
 
-# statusword bits 10, 12, 13 by mode (mode chapters of CiA 402-2)
-MODE_BITS: dict[int, tuple[str, str, str]] = {
-    Mode.PROFILE_POSITION: ("target_reached", "set_point_acknowledge", "following_error"),
-    Mode.VELOCITY: ("target_reached", "", ""),
-    Mode.PROFILE_VELOCITY: ("target_reached", "speed_is_zero", "max_slippage_error"),
-    Mode.PROFILE_TORQUE: ("target_reached", "", ""),
-    Mode.HOMING: ("target_reached", "homing_attained", "homing_error"),
-    Mode.INTERPOLATED_POSITION: ("target_reached", "ip_mode_active", ""),
-    Mode.CYCLIC_SYNC_POSITION: ("", "drive_follows_command", "following_error"),
-    Mode.CYCLIC_SYNC_VELOCITY: ("", "drive_follows_command", ""),
-    Mode.CYCLIC_SYNC_TORQUE: ("", "drive_follows_command", ""),
-}
-
 STATE_BITS = 0x6F  # of the statusword: the state, see `STATE_PATTERN`
 COMMAND_BITS = 0x0F  # of the controlword: the command, see `COMMANDS`
-
-# controlword bits 4, 5, 6 and 9 by mode
-CONTROLWORD_OF_MODE: dict[Controlword, dict[int, str]] = {
-    Controlword.NEW_SET_POINT: {
-        Mode.PROFILE_POSITION: "new_set_point", Mode.VELOCITY: "enable_ramp",
-        Mode.HOMING: "homing_operation_start", Mode.INTERPOLATED_POSITION: "enable_ip_mode",
-    },
-    Controlword.CHANGE_SET_IMMEDIATELY: {
-        Mode.PROFILE_POSITION: "change_set_immediately", Mode.VELOCITY: "unlock_ramp",
-    },
-    Controlword.RELATIVE: {Mode.PROFILE_POSITION: "relative", Mode.VELOCITY: "reference_ramp"},
-    Controlword.CHANGE_ON_SET_POINT: {Mode.PROFILE_POSITION: "change_on_set_point"},
-}
-
 
 _STATUSWORD = {bit: bit.name.lower() for bit in Statusword}
 _CONTROLWORD = {bit: bit.name.lower() for bit in Controlword}
@@ -238,25 +220,24 @@ def state_of(statusword: int) -> State | None:
     return None
 
 
-def statusword_names(mode: int, own: OwnModes = NONE_OWN) -> dict[Statusword, str]:
-    """Names of the statusword's bits; bits 10, 12 and 13 have that of `mode` (6061h), if any.
+def mode_words(mode: int, own: OwnModes = NONE_OWN) -> ModeWords:
+    """Names of a mode and of its bits; `own` are the modes that the drive model brings."""
+    return own.get(mode) or MODE_WORDS.get(mode) or ModeWords(f"{mode:.0f}")  # type: ignore
 
-    `own` are the modes of the drive model.
-    """
-    by_mode = own[mode].bits if mode in own else MODE_BITS.get(mode, ("", "", ""))
+
+def statusword_names(mode: int, own: OwnModes = NONE_OWN) -> dict[Statusword, str]:
+    """Names of the statusword's bits in `mode` (6061h); `own` as in `mode_words`."""
     bits = Statusword.TARGET_REACHED, Statusword.MODE_12, Statusword.MODE_13
-    return _STATUSWORD | dict(zip(bits, by_mode, strict=True))
+    return _STATUSWORD | dict(zip(bits, mode_words(mode, own).bits, strict=True))
 
 
 def controlword_names(mode: int, own: OwnModes = NONE_OWN) -> dict[Controlword, str]:
-    """Names of the controlword's bits; bits 4, 5, 6 and 9 have that of `mode` (6060h), if any.
-
-    `own` are the modes of the drive model.
-    """
-    by_mode = {bit: names.get(mode, "") for bit, names in CONTROLWORD_OF_MODE.items()}
-    if mode in own:
-        by_mode[Controlword.NEW_SET_POINT] = own[mode].bit_4
-    return _CONTROLWORD | by_mode
+    """Names of the controlword's bits in `mode` (6060h); `own` as in `mode_words`."""
+    words, bits = mode_words(mode, own), (
+        Controlword.NEW_SET_POINT, Controlword.CHANGE_SET_IMMEDIATELY, Controlword.RELATIVE,
+        Controlword.CHANGE_ON_SET_POINT,
+    )
+    return _CONTROLWORD | dict(zip(bits, (words.bit_4, *words.bits_5_6_9), strict=True))
 
 
 def _set_bits(word: int, names: Mapping[Any, str], pattern: int) -> list[str]:
@@ -270,7 +251,7 @@ def _set_bits(word: int, names: Mapping[Any, str], pattern: int) -> list[str]:
 def decode_statusword(statusword: int, mode: int = 0, own: OwnModes = NONE_OWN) -> list[str]:
     """Names of what a statusword says: the state first, then every set bit outside the pattern.
 
-    Bits 10, 12 and 13 carry the name they have in `mode` (6061h), which `own` has or the standard.
+    Bits 10, 12 and 13 have their names in `mode` (6061h); `own` as in `mode_words`.
     """
     state = state_of(statusword)
     return [

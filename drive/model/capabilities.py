@@ -7,7 +7,7 @@ from typing import Any
 
 from ..kernel.homing import NUMBERS as METHODS
 from ..kernel.modes.own import NUMBERS
-from ..kernel.words import MODE_ABBREVIATION, Mode, OwnMode, mode_bit
+from ..kernel.words import MODE_ABBREVIATION, Mode, ModeWords, mode_bit
 from .drive_toml import refuse_unknown
 from .rows import Object
 
@@ -17,13 +17,13 @@ SUPPORTED_MODES, SUPPORTED_METHODS = 0x6502, 0x60E3
 KNOWN = sum(1 << mode_bit(mode) for mode in Mode if mode)  # bits of 6502h that the kernel has
 
 
-def read_own_modes(table: dict[str, Any], path: Path) -> dict[int, OwnMode]:
+def read_own_modes(table: dict[str, Any], path: Path) -> dict[int, ModeWords]:
     """The model's own modes by their number in 6060h. Raises ValueError with file and key."""
-    found: dict[int, OwnMode] = {}
+    found: dict[int, ModeWords] = {}
     for name, row in table.items():
         if not isinstance(row, dict):
             raise ValueError(f"{path}: modes.{name} is not a table like [modes.{name}]")
-        refuse_unknown(row, ("number", *OwnMode._fields[1:]), path, f"modes.{name}.")
+        refuse_unknown(row, ("number", "bits", "bit_4", "section"), path, f"modes.{name}.")
         number, bits = row.get("number"), row.get("bits", ["", "", ""])
         if not isinstance(number, int) or number not in NUMBERS or number in found:
             raise ValueError(
@@ -40,7 +40,9 @@ def read_own_modes(table: dict[str, Any], path: Path) -> dict[int, OwnMode]:
                 raise ValueError(f"{path}: modes.{name}.{key} = {row[key]!r} is not a text")
         if name.lower() in STANDARD:
             raise ValueError(f"{path}: modes.{name}: the standard has a mode of this name")
-        found[number] = OwnMode(name, tuple(bits), row.get("bit_4", ""), row.get("section", ""))
+        found[number] = ModeWords(
+            name, tuple(bits), row.get("bit_4", ""), section=row.get("section", "")
+        )
     return found
 
 

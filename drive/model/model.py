@@ -13,7 +13,7 @@ from typing import Any
 from ..kernel.faults import Cause
 from ..kernel.homing import METHODS, Method, with_own
 from ..kernel.record import OD, Axis
-from ..kernel.words import Mode, OwnMode, abbreviation, mode_bit
+from ..kernel.words import Mode, ModeWords, mode_bit, mode_words
 from .capabilities import read_capabilities, read_own_modes, with_capabilities
 from .drive_toml import BUSES, KERNEL_QUIRKS, KEYS, QUIRKS, UNITS, Toml, merged, read_toml
 from .ethercat import EtherCat, need_assignment, read_ethercat
@@ -66,7 +66,7 @@ class DriveModel:
     modes: tuple[Mode, ...]
     homing_methods: tuple[int, ...]
     own_homing: dict[int, Method]  # from its homing.csv
-    own_modes: dict[int, OwnMode]  # from `[modes]` of its drive.toml
+    own_modes: dict[int, ModeWords]  # from `[modes]` of its drive.toml
     quirks: dict[str, Quirk]
     abort_codes: dict[int, int]  # code of CiA 301 -> code that the manual prints instead
     units: dict[str, float]
@@ -139,7 +139,7 @@ class DriveModel:
 
     def mode_name(self, mode: int) -> str:
         """Name of a mode in drive.toml, or the standard's abbreviation."""
-        return self.own_modes[mode].name if mode in self.own_modes else abbreviation(mode)
+        return mode_words(mode, self.own_modes).name
 
     def set_reactions(self, axis: Axis) -> None:
         """Set the reactions of faults.csv; of several rows with a cause the first counts."""

@@ -241,7 +241,7 @@ def test_the_drive_needs_numpy_and_numba_only():
     """No MuJoCo, no bus library, nothing of learning."""
     refused = [
         "mujoco", "gymnasium", "can", "canopen", "msgpack", "matplotlib", "PIL", "rich", "ruckig",
-        "torch", "stable_baselines3", "nicegui",
+        "torch", "stable_baselines3", "nicegui", "scipy",
     ]
     done = subprocess.run(
         [sys.executable, "-c", ALONE.format(refused=refused)], capture_output=True, text=True

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ...drive.kernel.words import MODE_BITS, Mode, State, Statusword, abbreviation, state_of
+from ...drive.kernel.words import Mode, State, Statusword, mode_words, state_of, statusword_names
 from ...envs.view.overlay import STATE_COLOUR
 
 SIZE, DPI = (13.0, 9.4), 125  # inches, dots per inch
@@ -154,7 +154,7 @@ def _spans(panel: Axes, data) -> None:
     for number, (first, behind) in enumerate(runs(modes)):
         mode = Mode(int(modes[first]))
         colour = MODE_COLOUR[number % 2] if mode else "white"
-        _span(panel, time[first], time[behind], 0, abbreviation(mode), colour)
+        _span(panel, time[first], time[behind], 0, mode_words(mode).name, colour)
     panel.set_ylim(-0.5, 1.5)
     panel.set_yticks([1, 0], ["state", "mode"], fontsize=8.5)
     panel.tick_params(axis="y", length=0)
@@ -185,8 +185,8 @@ def _bits(panel: Axes, data) -> None:
     time, words = data["time"], data["statusword"].astype(int)
     modes = data["modes_of_operation_display"]
     rows = [(bit.name.lower(), bit, np.full(len(time), True)) for bit in BITS]
-    for place, bit in enumerate(BITS_OF_MODE):
-        names = {mode: MODE_BITS.get(mode, ("", "", ""))[place] for mode in modes.tolist()}
+    for bit in BITS_OF_MODE:
+        names = {mode: statusword_names(mode)[bit] for mode in dict.fromkeys(modes.tolist())}
         for name in dict.fromkeys(filter(None, names.values())):
             valid = np.isin(modes, [mode for mode, other in names.items() if other == name])
             rows.append((name, bit, valid))

@@ -5,7 +5,7 @@ from typing import Any
 
 from nicegui import Client, run, ui
 
-from ....drive.diagrams import State, abbreviation
+from ....drive.diagrams import State, mode_words
 from ..classroom import Classroom, Place
 from ..guard import PERSON
 from .widgets import DARK_OR_LIGHT, Tag, box, button, card, div, formatted, lit, sure
@@ -77,7 +77,7 @@ class PlaceCard:
         self.state.say(state.name.replace("_", " ").lower())
         for kind in ("good", "bad"):
             lit(self.state, kind, KINDS.get(state) == kind)
-        self.mode.say(abbreviation(seen["mode"]) if seen["mode"] else "no mode")
+        self.mode.say(mode_words(seen["mode"]).name if seen["mode"] else "no mode")
         unit, _ = self.place.clock.session.unit(worst)
         self.position.say(f"{formatted(seen['position'], 1)} {unit}")
         self.here.say("here" if here else "away")
