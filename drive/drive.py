@@ -144,7 +144,7 @@ class Drive:
     def _power_on_changed(self) -> None:
         """Make the next `reset` fill the record from defaults and stored values."""
         # the record after power-on, with the node-id and the units it depends on
-        self._powered_on: tuple[tuple[int, bytes], np.ndarray] = (0, b""), np.empty(0)
+        self._powered_on = (0, b""), np.empty(0)
 
     def _put_commissioned(self) -> None:
         """Set the objects that only the manufacturer's tool can write."""

@@ -54,7 +54,9 @@ if DISABLED:
 elif PLAIN:
     say(f"{_why}: the code is compiled anew at each start (minutes); numba=={TESTED}.* stores it",
         always=True)
-    block = rare = entry = numba.njit(error_model="numpy", nogil=True)
+    block = rare = entry = numba.njit(  # type: ignore[assignment]
+        error_model="numpy", nogil=True
+    )
 else:
     from .dispatchers import block, entry, rare
 

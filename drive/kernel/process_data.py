@@ -146,7 +146,7 @@ def ordinal(image, at, length, signed, floating):
     number = 0
     for b in range(length):
         number |= int(image[at + b]) << 8 * b
-    sign = 1 << (8 * length - 1)
+    sign = 1 << (8 * int(length) - 1)
     if (signed or floating) and number & sign:
         number -= 2 * sign  # 0 for eight bytes, which have their sign
     if floating and number < 0:
