@@ -30,7 +30,7 @@ class _Receive:
     """One valid RPDO."""
 
     __slots__ = (
-        "deadline", "every", "failed", "heard_at", "number", "synchronous", "syncs", "waiting",
+        "deadline", "errors", "every", "heard_at", "number", "synchronous", "syncs", "waiting",
         "width",
     )
 
@@ -38,7 +38,8 @@ class _Receive:
         self.number = number
         self.width = self.deadline = 0  # byte, µs
         self.every, self.syncs = 1, 0  # used at each `every`-th SYNC; SYNCs since the last one
-        self.synchronous = self.failed = False
+        self.synchronous = False
+        self.errors: set[ErrorCode] = set()  # reported and not cleared
         self.waiting: bytes | None = None  # for the next SYNC
         self.heard_at: int | None = None  # µs, while the deadline runs
 
@@ -63,8 +64,6 @@ class Receiver:
         """Forget the RPDOs, as after a reset of the communication."""
         self._rpdos: dict[int, _Receive] = {}
         self._waiting: dict[int, _Receive] = {}
-        self._late: set[int] = set()
-        self._short: set[int] = set()
         self._timed_out[0] = self._too_short[0] = 0
 
     def configure(self) -> None:
@@ -80,11 +79,12 @@ class Receiver:
             rpdo.every = max(kind, 1) if self._counts and rpdo.synchronous else 1
             if rpdo.deadline != timer * 1000:
                 rpdo.deadline, rpdo.heard_at = timer * 1000, None
-                self._recover(rpdo)
+                self._clear(rpdo)
             self.routes.append((cob_id & 0x7FF, partial(self._receive, rpdo)))
         for rpdo in before.values():
             self._waiting.pop(rpdo.number, None)
-            self._recover(rpdo)
+            self._clear(rpdo)
+        self._show_errors()
         self._monitored = [rpdo for rpdo in self._rpdos.values() if rpdo.deadline]
 
     @property
@@ -97,17 +97,13 @@ class Receiver:
         if rpdo.deadline:
             rpdo.heard_at = time
         if len(data) != rpdo.width:
-            short = len(data) < rpdo.width
-            rpdo.failed = True
-            if short:
-                self._short.add(rpdo.number)
-                self._too_short[0] = 1
-                cause = Cause.RPDO_TOO_SHORT
-                self._emergency.report(ErrorCode.PDO_TOO_SHORT, rpdo.number, cause)
+            if len(data) < rpdo.width:
+                self._report(rpdo, ErrorCode.PDO_TOO_SHORT, Cause.RPDO_TOO_SHORT)
                 return
-            self._emergency.report(ErrorCode.PDO_TOO_LONG, rpdo.number)
-        elif rpdo.failed:
-            self._recover(rpdo)
+            self._report(rpdo, ErrorCode.PDO_TOO_LONG)
+        elif rpdo.errors:
+            self._clear(rpdo)
+            self._show_errors()
         if not rpdo.synchronous:
             self._take(rpdo, data)
             self._latched[0] = self._latched[0] or Latched.ALONE
@@ -115,14 +111,21 @@ class Receiver:
             rpdo.waiting = data
             self._waiting[rpdo.number] = rpdo
 
-    def _recover(self, rpdo: _Receive) -> None:
-        rpdo.failed = False
-        for code in (ErrorCode.PDO_TOO_SHORT, ErrorCode.PDO_TOO_LONG, ErrorCode.RPDO_TIMEOUT):
+    def _report(self, rpdo: _Receive, code: ErrorCode, cause: Cause = Cause.NONE) -> None:
+        rpdo.errors.add(code)
+        self._show_errors()
+        self._emergency.report(code, rpdo.number, cause)
+
+    def _clear(self, rpdo: _Receive) -> None:
+        for code in rpdo.errors:
             self._emergency.clear(code, rpdo.number)
-        self._late.discard(rpdo.number)
-        self._short.discard(rpdo.number)
-        self._timed_out[0] = bool(self._late)
-        self._too_short[0] = bool(self._short)
+        rpdo.errors.clear()
+
+    def _show_errors(self) -> None:
+        """Show the drive whether an RPDO is overdue or too short."""
+        errors = {code for rpdo in self._rpdos.values() for code in rpdo.errors}
+        self._timed_out[0] = ErrorCode.RPDO_TIMEOUT in errors
+        self._too_short[0] = ErrorCode.PDO_TOO_SHORT in errors
 
     def _take(self, rpdo: _Receive, data: bytes) -> None:
         drive = self._drive
@@ -146,10 +149,8 @@ class Receiver:
         """Report deadlines that have expired at `time` (µs)."""
         for rpdo in self._monitored:
             if rpdo.heard_at is not None and time - rpdo.heard_at > rpdo.deadline:
-                rpdo.heard_at, rpdo.failed = None, True
-                self._late.add(rpdo.number)
-                self._timed_out[0] = 1
-                self._emergency.report(ErrorCode.RPDO_TIMEOUT, rpdo.number, Cause.RPDO_TIMEOUT)
+                rpdo.heard_at = None
+                self._report(rpdo, ErrorCode.RPDO_TIMEOUT, Cause.RPDO_TIMEOUT)
 
     def forget(self) -> None:
         """Drop waiting data and stop the deadlines, after leaving OPERATIONAL."""

@@ -1,4 +1,4 @@
-"""TIME: consumer of the time stamp object (CiA 301, 1012h)."""
+"""TIME: the data type TIME_OF_DAY, and the consumer of the time stamp object (CiA 301, 1012h)."""
 
 import datetime
 import struct
@@ -17,6 +17,14 @@ class TimeOfDay(NamedTuple):
 
     days: int  # since 1984-01-01
     milliseconds: int  # after midnight
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "TimeOfDay | None":
+        """Unpack the data of a TIME message; None if the length is wrong."""
+        if len(data) != _TIME_OF_DAY.size:
+            return None
+        milliseconds, days = _TIME_OF_DAY.unpack(data)
+        return cls(days, milliseconds & 0x0FFF_FFFF)  # four bits are reserved
 
     def datetime(self) -> datetime.datetime:
         """Return the time as a `datetime.datetime`."""
@@ -42,12 +50,9 @@ class TimeStamp:
 
     def take(self, data: bytes, time: int) -> None:
         """Process a TIME message; one of wrong length or beyond midnight is ignored."""
-        if len(data) != _TIME_OF_DAY.size:
-            return
-        milliseconds, days = _TIME_OF_DAY.unpack(data)
-        milliseconds &= 0x0FFF_FFFF  # four reserved bits
-        if milliseconds < DAY:
-            self.last, self.received_at = TimeOfDay(days, milliseconds), time
+        received = TimeOfDay.unpack(data)
+        if received and received.milliseconds < DAY:
+            self.last, self.received_at = received, time
 
     def now(self, time: int) -> TimeOfDay | None:
         """Time of day at `time` (µs), extrapolated from the last message; None before the first."""

@@ -18,8 +18,8 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 from ..machine import Machine
-from ..model.given import octets, whole
-from .controller.record import ENTRANCES, NEVER
+from ..model.given import whole
+from .controller.record import NEVER
 from .controller.registers import R
 from .segment import LATEST, Segment
 from .slave import interpolation_ns
@@ -119,15 +119,11 @@ class Bus:
         Raises:
             ValueError: not bytes, or an invalid time (ns) or port.
         """
-        length = len(octets("frame", frame))
-        whole("now", now, -LATEST, LATEST, "ns")
-        whole("port", port, 0, ENTRANCES - 1)
-        if length > len(self.segment.frame):
+        length = self.segment.load(frame, now, port)
+        if not length:
             return None
-        self.segment.frame[:length] = memoryview(frame)
-        reply = None
-        if self.receive(length, now, port):
-            reply = self.segment.frame[:length].tobytes()
+        answered = self.receive(length, now, port)
+        reply = self.segment.frame[:length].tobytes() if answered else None
         self.advance(now)
         return reply
 

@@ -272,15 +272,20 @@ class Segment:
         Raises:
             ValueError: not bytes, or an invalid time or port.
         """
+        length = self.load(frame, now, port)
+        if not length or not self.pass_frame(length, now, port):
+            return None
+        return self.frame[:length].tobytes()
+
+    def load(self, frame: bytes, now: int, port: int) -> int:
+        """Copy a frame to the buffer; -> its length, 0 if too long. Errors as for `exchange`."""
         length = len(octets("frame", frame))
         whole("now", now, -LATEST, LATEST, "ns")
         whole("port", port, 0, ENTRANCES - 1)
         if length > len(self.frame):
-            return None
+            return 0
         self.frame[:length] = np.frombuffer(frame, np.uint8)
-        if not self.pass_frame(length, now, port):
-            return None
-        return self.frame[:length].tobytes()
+        return length
 
     def serve(self, now: int) -> None:
         """Let the services of the slaves that have events process them."""

@@ -75,7 +75,9 @@ class Slave:
         }
         self.mailbox = Mailbox(self._offered)
         self.emergencies = Emergencies(drive)
-        self._parts = (self.al, self.mailbox, self._sdo, self._foe, self.emergencies)
+        self._parts: tuple[Any, ...] = (
+            self.al, self.mailbox, self._sdo, self._foe, self.emergencies
+        )
         self._pdi: Pdi
         self._image: ProcessImage
         self._on = False
@@ -308,6 +310,6 @@ class Slave:
         self.mailbox.services = self._services(self.al.state)
 
 
-def _refuse(body: bytes) -> Answer:
+def _refuse(body: bytes, size: int) -> Answer:
     """Refuse a protocol that the device announces but that is not implemented."""
     return MailboxError.SERVICE_NOT_SUPPORTED

@@ -51,7 +51,7 @@ class EtherCatServer:
         self.log = log
         self._tell = tell
         self._told: set[str] = set()
-        self._counter = 0
+        self.working_counter = 0  # of the first datagram of the last frame of process data
         self._begin = time.monotonic_ns()
         self._buffer = memoryview(bus.segment.frame)  # type: ignore[arg-type]
 
@@ -59,11 +59,6 @@ class EtherCatServer:
     def now(self) -> int:
         """Time since the start (ns)."""
         return time.monotonic_ns() - self._begin
-
-    @property
-    def working_counter(self) -> int:
-        """Working counter of the first datagram of the last frame with process data."""
-        return self._counter
 
     def serve(self) -> None:
         """Wait for a frame, answer it, and advance the machines."""
@@ -84,35 +79,28 @@ class EtherCatServer:
                 self.bus.advance(self.now)
             return
         now = self.now
-        if self.log:
-            self._write(length, port)
+        self._record(self._buffer[:length], port)
         if self.bus.receive(length, now, port):
             back = -1 - self.bus.segment.exits[port]
             if back < len(self.ports):
                 self.ports[back].send(self._buffer[:length])
-                if self.log:
-                    self._write(length, back)
+                self._record(self._buffer[:length], back)
         while self.bus.extra:
             late = memoryview(self.bus.extra.popleft())
             self.ports[port].send(late)
-            if self.log:
-                self.log.write(late, time.time_ns(), port)
+            self._record(late, port)
         if self._buffer[16] in LOGICAL:
-            self._counter = self._last_counter()
+            end = 26 + (int.from_bytes(self._buffer[22:24], "little") & LENGTH)
+            self.working_counter = int.from_bytes(self._buffer[end : end + 2], "little")
         self.bus.advance(self.now)
         for line in self.bus.notes():
             if line not in self._told:
                 self._told.add(line)
                 self._tell(line)
 
-    def _last_counter(self) -> int:
-        """Working counter of the first datagram."""
-        end = 26 + (int.from_bytes(self._buffer[22:24], "little") & LENGTH)
-        return int.from_bytes(self._buffer[end : end + 2], "little")
-
-    def _write(self, length: int, port: int) -> None:
-        assert self.log is not None
-        self.log.write(self._buffer[:length], time.time_ns(), port)
+    def _record(self, frame: memoryview, port: int) -> None:
+        if self.log:
+            self.log.write(frame, time.time_ns(), port)
 
     def close(self) -> None:
         """Close the capture and the ports."""

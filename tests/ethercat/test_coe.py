@@ -1,5 +1,6 @@
 """CoE through the slave controller: SDO, complete access, emergencies. ETG.1000.6, 5.6."""
 
+import dataclasses
 import random
 import shutil
 import struct
@@ -347,6 +348,15 @@ def test_29_repeat_request_gives_the_same_mailbox_again(slave):
 def test_30_an_unknown_service_gets_a_mailbox_error(slave, body, detail):
     answer = slave.ask(Kind.COE, bytes.fromhex(body))
     assert answer == (Kind.ERROR, struct.pack("<HH", 1, detail))
+
+
+@pytest.mark.parametrize("name", ["AoE", "EoE", "CoE", "FoE", "SoE", "VoE"])
+def test_30_every_protocol_that_a_device_announces_is_answered(name):
+    model = load("generic", "ethercat")
+    ethercat = dataclasses.replace(model.ethercat, protocols=("CoE", "FoE", name))
+    slave = Wired(dataclasses.replace(model, ethercat=ethercat)).to(P)
+    kind, _ = slave.ask(Kind[name.upper()], bytes(10))
+    assert kind in (Kind[name.upper()], Kind.ERROR)
 
 
 def test_ethernet_is_refused_by_a_drive_that_names_it(akd):

@@ -13,6 +13,13 @@ MODULES = {
     "workers": "workers", "train": "train", "gpu": "device", "can": "can", "ethercat": "ethercat",
     "vectors": "vectors", "envs": "envs",
 }
+SWITCHES = {
+    "can": "measure SDO servers and drives in lock-step",
+    "envs": "measure the environments, compared with the loop and with other packages",
+    "vectors": "compare our vector with those of other packages",
+    "ethercat": "measure slave controllers, and pysoem on a veth pair",
+    "train": "compare PPO on our vector and on DummyVecEnv",
+}
 
 
 def add(bench: argparse.ArgumentParser) -> None:
@@ -21,23 +28,8 @@ def add(bench: argparse.ArgumentParser) -> None:
     bench.add_argument(
         "--repeat", type=arguments.COUNT, help="number of pairs of blocks (200), or of runs (1)"
     )
-    bench.add_argument(
-        "--can", action="store_true", help="measure SDO servers and drives in lock-step"
-    )
-    bench.add_argument(
-        "--envs", action="store_true",
-        help="measure the environments, compared with the loop and with other packages",
-    )
-    bench.add_argument(
-        "--vectors", action="store_true", help="compare our vector with those of other packages"
-    )
-    bench.add_argument(
-        "--ethercat", action="store_true",
-        help="measure slave controllers, and pysoem on a veth pair",
-    )
-    bench.add_argument(
-        "--train", action="store_true", help="compare PPO on our vector and on DummyVecEnv"
-    )
+    for name, text in SWITCHES.items():
+        bench.add_argument(f"--{name}", action="store_true", help=text)
     bench.add_argument(
         "--gpu", nargs="?", const="cuda", metavar="DEVICE",
         help="measure machines on a warp device: cuda (the default), cuda:1, cpu",

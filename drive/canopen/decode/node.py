@@ -3,7 +3,6 @@
 import json
 import struct
 from collections.abc import Callable, Iterable
-from datetime import datetime, timedelta
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from ...objects.hooks.standard import LOAD, SAVE
 from ..eds import rows
 from ..frame import Base, Frame
 from ..node import NmtState
+from ..time_stamp import TimeOfDay
 from .sdo import Channel
 
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY, ERROR_CODE = 0x6040, 0x6041, 0x6060, 0x6061, 0x603F
@@ -29,7 +29,6 @@ EMCY_CLASS = {
     0x8200: "protocol error", 0x9000: "external error", 0xF000: "additional functions",
     0xFF00: "device specific",
 }
-EPOCH = datetime(1984, 1, 1)  # CiA 301, TIME_OF_DAY
 
 
 class ModelInfo:
@@ -174,11 +173,8 @@ class Node:
         return f"SYNC {frame.data[0]}" if frame.data else "SYNC"
 
     def _time(self, frame: Frame) -> str | None:
-        if frame.remote or len(frame.data) != 6:
-            return None
-        milliseconds, days = struct.unpack("<IH", frame.data)
-        time = EPOCH + timedelta(days=days, milliseconds=milliseconds & 0x0FFF_FFFF)
-        return f"TIME {time.isoformat(' ', 'milliseconds')}"
+        time = None if frame.remote else TimeOfDay.unpack(frame.data)
+        return f"TIME {time.datetime().isoformat(' ', 'milliseconds')}" if time else None
 
     def _emcy(self, frame: Frame) -> str | None:
         if frame.remote or len(frame.data) != 8:

@@ -6,6 +6,7 @@ Frames that do not fit the transfer are shown as bytes, because a log may start 
 
 import binascii
 import struct
+from collections.abc import Callable
 from enum import Enum
 from functools import partial
 from typing import Protocol
@@ -262,7 +263,7 @@ def _stray(data: bytes) -> str:
     return f"{data.hex(' ').upper()} belongs to no transfer of this log"
 
 
-_REQUESTS = {
+_REQUESTS: dict[int, Callable[[Channel, bytes], str]] = {
     0: Channel._download_segment,
     1: Channel._download,
     2: Channel._upload,
@@ -271,7 +272,7 @@ _REQUESTS = {
     5: Channel._block_upload,
     6: Channel._block_download,
 }
-_RESPONSES = {
+_RESPONSES: dict[int, Callable[[Channel, bytes], str]] = {
     0: Channel._segment_uploaded,
     1: Channel._segment_downloaded,
     2: Channel._uploaded,
