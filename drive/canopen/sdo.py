@@ -73,7 +73,8 @@ class SdoServer:
     def _unknown(self, data: bytes) -> None:
         self._abort(Abort.COMMAND_SPECIFIER, data)
 
-    def _aborted(self, data: bytes) -> None:
+    def _end(self, data: bytes) -> None:
+        """End a transfer without an answer."""
         self._handler = None
 
     # ------------------------------------------------------------- download
@@ -217,29 +218,31 @@ class SdoServer:
             self._store(content, 0xA1, index=0)
 
     def _block_upload(self, data: bytes) -> None:
-        kind = data[0] & 3
-        if kind == 0:
-            self._initiate_block_upload(data)
-        elif self._handler != self._block_upload:
+        """Process a block upload; its parts have to come in their order."""
+        parts = (  # by client subcommand
+            self._initiate_block_upload, self._end, self._segments_received, self._send_block
+        )
+        part = parts[data[0] & 3]
+        if data[0] & 3 and self._handler != part:
             self._abort(Abort.COMMAND_SPECIFIER, data)
-        elif kind == 3:  # start
-            self._send_block()
-        elif kind == 2:  # acknowledge of the received segments
-            if data[1] > self._sequence:  # more than were sent
-                self._abort(Abort.SEQUENCE_NUMBER)
-                return
-            self._at += data[1] * 7
-            self._block = data[2]
-            if not 1 <= self._block <= 127:
-                self._abort(Abort.BLOCK_SIZE)
-            elif self._at < len(self._data):
-                self._send_block()
-            else:
-                unused = -len(self._data) % 7 if self._data else 7
-                crc = binascii.crc_hqx(self._data, 0)
-                self.send(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
         else:
-            self._handler = None
+            part(data)
+
+    def _segments_received(self, data: bytes) -> None:
+        if data[1] > self._sequence:  # more than were sent
+            self._abort(Abort.SEQUENCE_NUMBER)
+            return
+        self._at += data[1] * 7
+        self._block = data[2]
+        if not 1 <= self._block <= 127:
+            self._abort(Abort.BLOCK_SIZE)
+        elif self._at < len(self._data):
+            self._send_block(data)
+        else:
+            unused = -len(self._data) % 7 if self._data else 7
+            crc = binascii.crc_hqx(self._data, 0)
+            self.send(struct.pack("<BH5x", 0xC1 | unused << 2, crc))
+            self._handler = self._end
 
     def _initiate_block_upload(self, data: bytes) -> None:
         _, self._index, self._subindex = _HEAD.unpack_from(data)
@@ -250,11 +253,12 @@ class SdoServer:
         if abort:
             self._abort(abort)
             return
-        self._begin(self._block_upload)
+        self._begin(self._send_block)
         self._data, self._block = value, data[4]
         self._answer(0xC6, self._index, self._subindex, struct.pack("<I", len(value)))
 
-    def _send_block(self) -> None:
+    def _send_block(self, data: bytes) -> None:
+        self._handler = self._segments_received
         parts = [self._data[at : at + 7] for at in range(self._at, len(self._data), 7)] or [b""]
         self._sequence = min(len(parts), self._block)
         for number, part in enumerate(parts[: self._block], 1):
@@ -267,7 +271,7 @@ _SERVICES: tuple[Callable[[SdoServer, bytes], None], ...] = (  # by client comma
     SdoServer._initiate_download,
     SdoServer._initiate_upload,
     SdoServer._upload_segment,
-    SdoServer._aborted,
+    SdoServer._end,
     SdoServer._block_upload,
     SdoServer._block_download,
     SdoServer._unknown,

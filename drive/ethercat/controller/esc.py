@@ -74,7 +74,7 @@ def _logical(esc, address, frame, at, n, sent, reads, writes, now, unit, entranc
                     frame[at + here // 8] &= 0xFF ^ mask
                     if esc.scratch[0] >> there % 8 & 1:
                         frame[at + here // 8] |= mask
-                if writes and kind & 2:
+                if writes and kind & 2 and there // 8 < len(esc.memory):
                     esc.scratch[0] = esc.memory[there // 8] & (0xFF ^ 1 << there % 8)
                     if sent[here // 8] & mask:
                         esc.scratch[0] |= 1 << there % 8
