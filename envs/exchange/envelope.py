@@ -55,12 +55,13 @@ class Envelope:
         if not self.low < self.high or not math.isfinite(self.high - self.low):
             raise ValueError(
                 f"positions {self.low!r}..{self.high!r} limit nothing: set the software position "
-                "limits of the drive (607Dh), or give limits"
+                "limits of the drive (607Dh), or give limits (--limits)"
             )
         if not 0.0 < self.velocity < math.inf:
             raise ValueError(
                 f"velocity {self.velocity!r} limits nothing: set the maximum profile velocity of "
-                "the drive (607Fh) or its maximum motor speed (6080h), or give a maximum velocity"
+                "the drive (607Fh) or its maximum motor speed (6080h), or give a maximum velocity "
+                "(--max-velocity)"
             )
         for field in fields(self)[3:-1]:
             in_range(field.name, getattr(self, field.name), 1e-12, math.inf)

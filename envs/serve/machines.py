@@ -13,6 +13,8 @@ from ..plants.catalogue import deliver, of_axis
 from ..plants.commissioning import commission_joint
 from .description import MachineRow, model_of
 
+COMMUNICATION = range(0x1000, 0x2000)  # indices of the communication profile (CiA 301)
+
 
 def made(
     row: MachineRow, bus: str, folder: Path, named: Callable[[str], str] = str
@@ -49,7 +51,13 @@ def made(
         if not isinstance(values, dict):
             raise ValueError(f"write: name the drive, as {{ x = {{ {name} = {values!r} }} }}")
         for object_name, value in values.items():
-            machine.drives[name].write(object_name, value)
+            drive = machine.drives[name]
+            drive.write(object_name, value)
+            if drive.model.number(object_name).index in COMMUNICATION:
+                raise ValueError(
+                    f"write: {object_name} belongs to the communication profile, which a drive "
+                    "resets when it boots: let the master write it"
+                )
     file = folder / row.parameter_file if row.parameter_file else None
     deliver(machine, bus, places, row.node_id, file, named)
     return machine, places

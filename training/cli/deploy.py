@@ -125,6 +125,7 @@ def _deploy(options: argparse.Namespace, console: Console) -> int:
                 console.print(f"{axis}: {guard.envelope}", highlight=False, markup=False)
             for difference in line.differs:
                 console.print(difference, style="yellow", highlight=False, markup=False)
+            line.check(prepared.kind.REFERENCED)
             console.print(NO_SAFETY, highlight=False)
             if not (options.dry_run or options.yes) and not _agreed(console):
                 return 1
@@ -173,7 +174,11 @@ def _prepared(options: argparse.Namespace, stack: ExitStack) -> _Prepared:
     for policy in options.policy:
         given = needed(policy) | given
     given.setdefault("randomise", {})  # nothing draws the parameters of the machine on the bus
-    example = kind(load(options.drive, "ethercat" if options.ethercat else None), **given)
+    model = load(options.drive, "ethercat" if options.ethercat else None)
+    if options.home is not None and options.home not in model.homing_methods:
+        known = ", ".join(map(str, sorted(model.homing_methods)))
+        raise ValueError(f"--home {options.home}: drive {model.name!r} has the methods {known}")
+    example = kind(model, **given)
     axes, period = example.drive_names, example.step_time
     limits = _limits(options, axes)
     if options.node_id and len(options.node_id) != len(axes):

@@ -10,7 +10,7 @@ from ...engine.machine import Machine
 from ..envelope import Envelope
 from .side import Limits
 
-NO_LIMIT = 4294967295  # of 60C5h and 60C6h
+NO_LIMIT = 4294967295  # of an UNSIGNED32, such as 607Fh or 60C5h
 OPEN = -(2**31), 2**31 - 1  # of 607Dh: a drive without position limits (CiA 402-2)
 REVERSALS = 5.0  # set-points may have this multiple of the quick-stop deceleration (inferred)
 BEYOND_STOPS = 0.01  # m or rad by which an axis may be pressed into its end stops
@@ -73,11 +73,12 @@ def _of_drive(
 
     def read(name: str, otherwise: float = math.inf) -> float:
         with suppress(SdoAbort, ValueError):
-            return port.upload(axis, name)
+            value = port.upload(axis, name)
+            return value if value < NO_LIMIT else otherwise
         return otherwise
 
     most = max(read("max_acceleration"), read("max_deceleration"))
-    if not most < NO_LIMIT:
+    if not most < math.inf:
         most = REVERSALS * read("quick_stop_deceleration")
     acceleration = most * unit
     low, high = (read(f"{end}_position_limit") * unit for end in ("min", "max"))

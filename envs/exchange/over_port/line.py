@@ -108,7 +108,7 @@ class PortLine:
         self.on_step: Callable[[np.ndarray], object] | None = None
         self.sent: np.ndarray | None = None
         self._begun = False  # an episode; until then the drives get no power from here
-        self._checked = False  # that all drives answer, and are or will be referenced
+        self._checked = False
         self._unanswered = self._late = 0  # steps in a row
         self._deadline, self._ends = 0.0, math.inf
 
@@ -130,6 +130,26 @@ class PortLine:
         return self._side.pace.now()
 
     # ---------------------------------------------------------------- episodes
+
+    def check(self, referenced: bool = True) -> None:
+        """See, before the drives get power, that they answer and have or will get a reference.
+
+        Args:
+            referenced: whether the episodes begin with a reference.
+
+        Raises:
+            Stopped: no process data come back.
+            ValueError: a drive is not referenced and `home` is not set.
+        """
+        if self._checked:
+            return
+        self._side.awake()
+        patience = FIRST_ANSWER if self._side.pace.real else LOCK_STEP_PATIENCE
+        if not any(self._side.sample(patience) for _ in range(QUESTIONS)):
+            raise Stopped("", f"no process data come back{self._side.trouble()}")
+        if referenced and self.home is None:
+            self._start.check_referenced()
+        self._checked = True
 
     def begin(self, random: np.random.Generator) -> None:
         """Prepare an episode. Raises Stopped after a stop."""
@@ -168,7 +188,9 @@ class PortLine:
                 envelope = self.guards[axis].envelope
                 if not envelope.low <= position <= envelope.high:
                     raise Stopped(axis, f"the start {position:.4g} is out of the envelope")
-            self._check(homing)
+            self.check(referenced=homing is None)
+            if homing is not None:
+                self._start.prepare(homing)
             if not self.dry:
                 self.unwatched = self._side.arm(True)
                 self._start.go(own, mode, homing, self.home)
@@ -187,18 +209,6 @@ class PortLine:
         self._mirror.begin(here, None if homing is None else homing.home)
         self._deadline = self._side.pace.now()
         return others | here
-
-    def _check(self, search: Search | None) -> None:
-        """See, before the drives get power, that they answer and have or find a reference."""
-        if not self._checked:
-            patience = FIRST_ANSWER if self._side.pace.real else LOCK_STEP_PATIENCE
-            if not any(self._side.sample(patience) for _ in range(QUESTIONS)):
-                raise Stopped("", f"no process data come back{self._side.trouble()}")
-            if search is None and self.home is None:
-                self._start.check_referenced()
-            self._checked = True
-        if search is not None:
-            self._start.prepare(search)
 
     def idle(self) -> None:
         """Keep the watchdogs of the drives satisfied while nothing else is to be sent."""
