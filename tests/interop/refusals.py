@@ -6,42 +6,46 @@ import sys
 import can
 from deployed import CAN, _network, _rows, machine_served
 
-ONLY = (-(2**31), 2**31 - 1)  # of 607Dh: no position limits
-OTHER_MODEL = {"can": "festo_cmmp_as", "ethercat": "kollmorgen_akd"}
 BUS = {
     "can": ["-i", CAN["interface"], "-c", CAN["channel"]], "ethercat": ["--ethercat", "vb"],
 }
 CLOCK = {"can": "real", "ethercat": "frame"}
-AXIS = {"bus": "bus", "axis": "linear"}
-LIMITS = dict(zip(("min_position_limit", "max_position_limit"), ONLY, strict=True))
-NO_SPEED = {"max_profile_velocity": 2**32 - 1, "max_motor_speed": 2**32 - 1}
-TASK = {"bus": "bus", "task": "LinearAxis-v0"}
-# the machine, options of the command, and which buses it is about
+AXIS, TASK = {"axis": "linear"}, {"task": "LinearAxis-v0"}
+OTHER_MODEL = {"can": "festo_cmmp_as", "ethercat": "kollmorgen_akd"}
+OPEN = {"x": {"min_position_limit": -(2**31), "max_position_limit": 2**31 - 1}}  # none (607Dh)
+UNLIMITED = {"x": {"max_profile_velocity": 2**32 - 1, "max_motor_speed": 2**32 - 1}}
+HOMED = ["--home", "17"]
+BOTH = ("can", "ethercat")
+# the machine, options of the command, the buses, and what the error says
 CASES = {
-    "not homed": (TASK, [], ("can", "ethercat")),
-    "no position limits": (
-        AXIS | {"write": {"x": LIMITS}}, ["--home", "17"], ("can", "ethercat"),
+    "not homed": (TASK, [], BOTH, "x is not referenced: home it with --home METHOD"),
+    "no position limits": (AXIS | {"write": OPEN}, HOMED, BOTH, r"\(607Dh\), or give .*--limits"),
+    "no velocity limit": (AXIS | {"write": UNLIMITED}, HOMED, BOTH, "6080h.*--max-velocity"),
+    "another drive": (AXIS, HOMED, BOTH, "vendor_id is .* give the model of the drive that is the"),
+    "another task's policy": (
+        TASK, [*HOMED, "--policy", "search"], BOTH, "'search' is for servogym/Homing-v0: .* choose",
     ),
-    "another drive": (AXIS, ["--home", "17"], ("can", "ethercat")),
-    "another task's policy": (TASK, ["--home", "17", "--policy", "search"], ("can", "ethercat")),
-    "no such homing method": (TASK, ["--home", "99"], ("can", "ethercat")),
-    "no velocity limit": (AXIS | {"write": {"x": NO_SPEED}}, ["--home", "17"], ("can", "ethercat")),
-    "another SYNC": (TASK, ["--home", "17"], ("can",)),
-    "another node": (TASK, ["--home", "17", "--node-id", "9"], ("can",)),
-    "two nodes for one drive": (TASK, ["--node-id", "1", "--node-id", "2"], ("can",)),
-    "a second drive": (TASK | {"task": "GantryContour-v0"}, ["--home", "17"], ("ethercat",)),
+    "no such homing method": (TASK, ["--home", "99"], BOTH, "--home 99: .* has the methods .*17"),
+    "another SYNC": (TASK, HOMED, ("can",), r"the SYNC 81h \(1005h\): set it to 80h"),
+    "another node": (TASK, [*HOMED, "--node-id", "9"], ("can",), "node 9.*check its node-id"),
+    "two nodes for a drive": (
+        TASK, ["--node-id", "1", "--node-id", "2"], ("can",), "--node-id: 2 are given for .* x",
+    ),
 }
+NOBODY = {"can": "node 1.* no answer .*check its node-id", "ethercat": "0 slaves answer.*check int"}
 
 
 def refusals(bus):
     """Status, words and states of the drives for each case."""
     _network()
     told = {}
-    for case, (machine, options, buses) in CASES.items():
+    for case, (machine, options, buses, _) in CASES.items():
         if bus not in buses:
             continue
         rows = _rows("", bus, CLOCK[bus])
-        rows["machine"]["axis"] = machine | ({"node_id": 1} if bus == "can" else {})
+        rows["machine"]["axis"] = {"bus": "bus"} | machine
+        if bus == "can":
+            rows["machine"]["axis"]["node_id"] = 1
         if case == "another drive":
             rows["machine"]["axis"]["drive"] = OTHER_MODEL[bus]
         with machine_served(rows) as ask:

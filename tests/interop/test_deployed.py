@@ -4,6 +4,7 @@ import re
 
 import pytest
 from deployed import BUSES, ENDINGS, HOSTILE, KILL, MOMENTS, REFERENCES, TASKS
+from refusals import CASES, NOBODY
 from wire import on_the_wire
 
 SAMPLE = (
@@ -115,6 +116,23 @@ def test_who_may_not_open_raw_sockets_reads_how_to_get_the_right():
         assert not others, (words, error)
         needed = "raw sockets need the capability CAP_NET_RAW: sudo setcap cap_net_raw+ep"
         assert needed in line, words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", BUSES)
+def test_what_a_stranger_gets_wrong_is_refused_before_power_in_a_line_with_the_fix(bus):
+    if bus == "ethercat":
+        pytest.importorskip("pysoem")
+    told = on_the_wire("refusals", "refusals", "forked", bus=bus, timeout=600)
+    said = {case: words for case, (*_, buses, words) in CASES.items() if bus in buses}
+    said["nobody"] = NOBODY[bus]
+    assert told.keys() == said.keys()
+    for case, row in told.items():
+        assert row["status"] == 2, (case, row)
+        (line,) = row["error"].splitlines()
+        assert line.startswith("servogym deploy: "), case
+        assert re.search(said[case], line), (case, line)
+        assert {*row["states"]} <= {"NOT_READY_TO_SWITCH_ON", "SWITCH_ON_DISABLED"}, (case, row)
 
 
 def same(bus, task, count):

@@ -75,6 +75,13 @@ def test_the_true_position_is_that_of_the_joint_and_a_push_moves_it(laboratory, 
     assert machine.position("feeder.x") == pytest.approx(0.3, abs=1e-6)
 
 
+def test_an_object_that_a_boot_resets_is_refused_in_the_file(request):
+    rows = feeder(request.node.name)
+    rows["machine"]["feeder"]["write"] = {"x": {"cob_id_sync": 0x81}}
+    with pytest.raises(ValueError, match="feeder: write: cob_id_sync belongs to"):
+        Laboratory(rows)
+
+
 def test_time_of_a_real_bus_follows_the_clock_and_advance_runs_ahead(laboratory, request):
     machine = laboratory(feeder(request.node.name))
     begin, start = machine.time("feeder"), time.monotonic()
