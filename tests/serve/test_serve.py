@@ -1,5 +1,6 @@
 """A served machine: foreign masters move it, and a test sees its true state beside the bus."""
 
+import re
 import signal
 import socket
 import subprocess
@@ -277,6 +278,27 @@ def test_the_command_serves_the_file_of_the_page_and_ends_by_a_signal(tmp_path):
         finally:
             process.terminate()
         assert process.wait(20) == 0
+
+
+@pytest.mark.slow
+def test_the_test_of_the_page_passes_as_it_is_printed(tmp_path):
+    page = (Path(__file__).parents[2] / "docs/how-to/serve.md").read_text(encoding="utf-8")
+    page = page.replace("239.74.163.2", "239.74.163.78")
+    files = {
+        "machine.toml": re.search(r"^```toml\n(.*?)^```", page, re.M | re.S)[1],
+        "test_feeder.py": re.search(r"^:caption: test_feeder.py\n(.*?)^```", page, re.M | re.S)[1],
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    commands = re.findall(r"^(servogym eds .*|python -m pytest .*)$", page, re.M)
+    assert len(commands) == 2
+    for command in commands:
+        words = command.replace("servogym", "-m servogym.training.cli").replace("python ", "")
+        done = subprocess.run(
+            [sys.executable, *words.split()], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 passed" in done.stdout
 
 
 def test_on_a_bad_bus_frames_are_lost_and_the_master_asks_again(laboratory, network, request):
