@@ -345,7 +345,7 @@ def _span(data_type: str) -> tuple[int, int]:
 def _reach(data_type: str, known: Object | None) -> tuple[int, int]:
     """The values that an object of a type can have, if the drive stores it as in the profile."""
     low, high = _span(data_type)
-    if known is None or SIZES[FORMATS[data_type]] <= known.size:
+    if known is None or SIZES[FORMATS[data_type]] == known.size:
         return low, high
     least, most = _span(known.data_type)
     return max(low, least), min(high, most)

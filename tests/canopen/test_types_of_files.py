@@ -135,3 +135,17 @@ def test_a_mapped_object_carries_its_bytes_both_ways(tmp_path, name):
     assert drive.objects.read(0x2001, 0) == (data, Abort.NONE)
     assert drive.objects.write(0x2002, 0, data) is Abort.NONE
     assert drive.collect() == data
+
+
+@pytest.mark.parametrize("default", ["-3", "200", "-2147483648", "0xFFFFFFFF"])
+@pytest.mark.parametrize("kind", TYPES)
+def test_any_default_in_any_type_becomes_a_value_of_the_drive(tmp_path, kind, default):
+    kinds = OTHERS | dict.fromkeys((*WRITTEN, *READ), kind)
+    rows = [f"{index:04X} . {number} {'ro' if index in READ else 'rww'} 1 DefaultValue={default}"
+            for index, number in kinds.items()]
+    (tmp_path / "drive.eds").write_text(sheet(BASE, *rows))
+    drive = Drive(import_eds(tmp_path / "drive.eds", tmp_path / "model").folder)
+    for index, (_, own) in (WRITTEN | READ).items():
+        least, most = limits(own)
+        assert least <= drive.model.objects[index, 0].default <= most or (
+            struct.calcsize(own) == struct.calcsize(TYPES[kind][1]))
