@@ -14,12 +14,13 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 from .kernel.words import MODE_ABBREVIATION, State, state_of
 from .model.made import ModelFolder
 from .model.model import DriveModel, load
-from .model.rows import FORMATS, SIZES, Object
+from .model.rows import FORMATS, REAL, SIZES, Object
 from .objects.abort import TEXT, Abort, SdoAbort
 
 FORMAT, VERSION = "servogym observation", 1
@@ -37,6 +38,7 @@ STATUSWORD, HOMING_METHOD, HOMING_METHODS = 0x6041, 0x6098, 0x60E3
 TYPES = {0x01: "BOOLEAN", 0x02: "INTEGER8", 0x03: "INTEGER16", 0x04: "INTEGER32",
          0x05: "UNSIGNED8", 0x06: "UNSIGNED16", 0x07: "UNSIGNED32", 0x08: "REAL32",
          0x09: "VISIBLE_STRING", 0x15: "INTEGER64", 0x1B: "UNSIGNED64"}
+INTEGERS = tuple(name for name, code in FORMATS.items() if code and code not in REAL)
 TRIED = range(-20, 41)  # values of option codes, modes and homing methods
 MODES = range(-10, 16)
 # objects that are asked for a wrong sub-index and sent a wrong length
@@ -110,17 +112,22 @@ class Observer:
         model: whose data types the objects have, where their lengths agree.
         read_only: write nothing.
         tell: takes a line of progress.
+        like: an observation to compare with, whose data types come first: a range is found by
+            values of a type, so both drives must be asked in the same one.
     """
 
     def __init__(
         self, line: Line, model: "str | DriveModel" = "generic", *, read_only: bool = False,
-        tell: Callable[[str], None] = lambda text: None,
+        tell: Callable[[str], None] = lambda text: None, like: Mapping[str, Any] | None = None,
     ):
         self._line = line
         self._models = (load(model), load("generic"))
         self._read_only = read_only
         self._tell = tell
         self._values: dict[tuple[int, int], str] = {}
+        objects = like["objects"] if like else {}
+        self._types = {where: one["type"] for where, one in objects.items()
+                       if one.get("type") in INTEGERS}
 
     def observe(self) -> dict[str, Any]:
         """All there is to be seen. Raises what the line raises where the drive does not answer."""
@@ -181,7 +188,10 @@ class Observer:
         """A row with the data type of an object, where its length is that of the drive."""
         for model in self._models:
             row = model.objects.get(address)
-            if row is not None and row.format and not row.real and row.size == size:
+            if row is None:
+                continue
+            row = replace(row, data_type=self._types.get(shown(address), row.data_type))
+            if row.data_type in INTEGERS and row.size == size:
                 return row
         return None
 
@@ -203,6 +213,7 @@ class Observer:
             return ""
 
         value = int(row.code.unpack(data)[0])
+        found["type"] = row.data_type
         found["write"] = write(value) or "yes"
         if found["write"] != "yes":
             return

@@ -32,12 +32,20 @@ PROTOCOL = {  # requests without an object, as CiA 301 answers or refuses them
 }
 
 
-def of_model(model: "str | DriveModel | Any", node_id: int = 1) -> dict[str, Any]:
-    """Observe a model through a node in this process. Raises ValueError as `load`."""
+def of_model(
+    model: "str | DriveModel | Any", node_id: int = 1, like: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Observe a model through a node in this process. Raises ValueError as `load`.
+
+    Args:
+        model: its name, its folder, or itself.
+        node_id: 1..127.
+        like: an observation of a drive to compare with, see `Observer`.
+    """
     drive = Drive(load(model, "can"), node_id=node_id)
     period = float(drive.model.cycle_time["position"])
     port = NodePort(Standing({"x": drive}, period), Node(drive))
-    return Observer(port, node_id, drive.model).observe()
+    return Observer(port, node_id, drive.model, like=like).observe()
 
 
 class Observer(_Observer):
@@ -50,6 +58,7 @@ class Observer(_Observer):
         read_only: write nothing.
         timeout: for an answer (s).
         tell: takes a line of progress.
+        like: an observation to compare with, whose data types come first.
 
     `observe` raises `Timeout` where the node does not answer.
     """
@@ -57,10 +66,10 @@ class Observer(_Observer):
     def __init__(
         self, bus: FramePort, node_id: int, model: "str | DriveModel" = "generic", *,
         read_only: bool = False, timeout: float = 0.5,
-        tell: Callable[[str], None] = lambda text: None,
+        tell: Callable[[str], None] = lambda text: None, like: Mapping[str, Any] | None = None,
     ):
         line = CanLine(bus, node_id, timeout)
-        super().__init__(line, model, read_only=read_only, tell=tell)
+        super().__init__(line, model, read_only=read_only, tell=tell, like=like)
 
 
 class CanLine:
@@ -131,6 +140,9 @@ class CanLine:
             if size > 1:
                 short = bytes([0x23 | (4 - size + 1) << 2]) + target + bytes(4)
                 found[f"{name} {size - 1} bytes"] = [self._raw(short)]
+        if _guards(values):
+            found["node guarding"] = ["not asked: the drive would expect it from then on"]
+            return found
         rtr = Frame(Base.ERROR_CONTROL + self._node_id, remote=True)
         guarded = self._bus.exchange([rtr])
         found["node guarding"] = [
@@ -143,3 +155,12 @@ class CanLine:
         """End a transfer that may be open."""
         data = b"\x80" + bytes(3) + struct.pack("<I", Abort.GENERAL)
         self._bus.exchange([Frame(Base.SDO_REQUEST + self._node_id, data)])
+
+
+def _guards(values: Mapping[tuple[int, int], str]) -> bool:
+    """Whether a node monitors its master from the first guarding frame on (CiA 301, 7.2.8.3.2.1).
+
+    A node with a guard time (100Ch) and a life time factor (100Dh) takes the end of guarding for a
+    lost master, and stops its drive.
+    """
+    return all(values.get((index, 0), "00").strip("0") for index in (0x100C, 0x100D))

@@ -410,7 +410,9 @@ class _Reader:
             inner = types.get(_text(item, "Type"))
             array = inner.find("ArrayInfo") if inner is not None else None
             if array is None:
-                subindex = self._number(item.findtext("SubIdx"), item, f"{index:04X}h", place)
+                subindex = self._number(
+                    item.findtext("SubIdx"), item, f"{index:04X}h", place & 0xFF, 8
+                )
                 info = infos[place] if place < len(infos) else None
                 label = _text(item, "Name") or f"{subindex:02X}"
                 yield self._entry(item, info, element, index, subindex, label, name, RECORD, types)

@@ -76,8 +76,15 @@ class SlaveAccess(Protocol):
         """Registers; -> whether they were written."""
 
 
-def of_model(model: "str | DriveModel | Any") -> dict[str, Any]:
-    """The observation of a model: of its slave, in this process. Raises ValueError as `load`."""
+def of_model(
+    model: "str | DriveModel | Any", like: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Observe a model through a slave in this process. Raises ValueError as `load`.
+
+    Args:
+        model: its name, its folder, or itself.
+        like: an observation of a drive to compare with, see `Observer`.
+    """
     drive = Drive(load(model, "ethercat"))
     cycling = Standing({"x": drive}, float(drive.model.cycle_time["position"]))
     master = EtherCatMaster(Bus(Segment([Slave(drive)])))
@@ -87,7 +94,7 @@ def of_model(model: "str | DriveModel | Any") -> dict[str, Any]:
     def wait(time: float) -> None:
         cycling.step(round(time / cycling.cycle_time))
 
-    return Observer(EtherCatLine(slaves, 0, wait), drive.model).observe()
+    return Observer(EtherCatLine(slaves, 0, wait), drive.model, like=like).observe()
 
 
 class EtherCatLine:

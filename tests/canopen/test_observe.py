@@ -170,6 +170,39 @@ def test_nothing_is_written_to_a_drive_that_is_enabled():
     assert before == after
 
 
+@pytest.mark.parametrize("words", [(), (0x06, 0x07, 0x0F)], ids=["off", "enabled"])
+@pytest.mark.parametrize("read_only", [False, True])
+def test_a_drive_that_guards_its_master_keeps_its_state(words, read_only):
+    drive = Drive("generic", node_id=3)
+    bench = Standing({"x": drive}, drive.model.cycle_time["position"])
+    port = NodePort(bench, Node(drive))
+    drive.write("guard_time", 100)  # ms
+    drive.write("life_time_factor", 4)
+    for word in (0, *words):
+        drive.write("controlword", word)
+        bench.step(200)
+    state = drive.state
+    found = Observer(port, 3, read_only=read_only).observe()
+    for _ in range(200):  # 2 s
+        port.exchange([])
+        bench.step(round(0.01 / bench.cycle_time))
+    assert (drive.state, drive.read("error_code")) == (state, 0)
+    assert "from then on" in found["dialogues"]["node guarding"][0]
+
+
+def test_ranges_are_compared_in_the_type_in_which_the_drive_was_asked(tmp_path):
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "drive.toml").write_text('based_on = "generic"\n')
+    row = "0x60E1,0x00,negative_torque_limit,VAR,INTEGER16,rw,rx,,,,-1000,yes,,,"
+    (folder / "objects.csv").write_text(f"{HEADER}\n{row}negative_torque_limit,,\n")
+    drive = Drive(folder, node_id=3)
+    port = NodePort(Standing({"x": drive}, drive.model.cycle_time["position"]), Node(drive))
+    found = Observer(port, 3).observe()  # a stranger's: nobody knows that it is signed
+    assert found["objects"]["60E1h:00h"]["high"] == 65535
+    assert compare(found, of_model(folder, 3, found)) == []
+
+
 def test_nothing_is_written_while_another_drive_on_the_bus_is_enabled():
     drives = [Drive("generic", node_id=n) for n in (3, 4)]
     bench = Standing({str(d.node_id): d for d in drives}, drives[0].model.cycle_time["position"])

@@ -505,6 +505,18 @@ def test_an_encoding_that_is_declared_is_that_of_the_file(tmp_path, encoding):
     assert load(tmp_path / "mine", "ethercat").ethercat.vendor == f"{name} Antriebe"
 
 
+@pytest.mark.parametrize("number", ["255", "256", "5632", "65535", "65536", "-1"])
+def test_a_sub_index_is_a_byte_or_a_repair(tmp_path, number):
+    text = esi.write(esi.of_model(load("generic", "ethercat")))
+    head, found, tail = text.partition("<SubIdx>2</SubIdx>")
+    assert found
+    file = tmp_path / "drive.xml"
+    file.write_text(f"{head}<SubIdx>{number}</SubIdx>{tail}")
+    made = import_esi(file, tmp_path / "mine")
+    assert any(repair.says == number for repair in made.repairs) == (number != "255")
+    Drive(load(made.folder, "ethercat"))
+
+
 @pytest.mark.parametrize("encoding", ["iso-885-1", "rot13", "base64", "x" * 39])
 def test_an_encoding_that_there_is_not_is_one_line(tmp_path, capsys, encoding):
     file = tmp_path / "drive.xml"

@@ -127,9 +127,9 @@ def _compare(options: argparse.Namespace, console: Console) -> int:
         check_place(options.out)
     with console.status(f"{model.name} ..."):
         if on_ethercat:
-            own = ethercat.of_model(model)
+            own = ethercat.of_model(model, found)
         else:
-            own = canopen.of_model(model, int(found["node_id"]))
+            own = canopen.of_model(model, int(found["node_id"]), found)
         differences = compare(found, own)
     for difference in differences:
         print(difference)
