@@ -1,1 +1,1 @@
-"""Trainings: stable-baselines3 on our vectors, checkpoints, evaluation while it learns."""
+"""Trainings by stable-baselines3 on vectors of environments, with checkpoints and evaluations."""

@@ -1,8 +1,8 @@
-"""Checkpoints of a training run: one folder each, there completely or not at all.
+"""Checkpoints of a training run: one folder each, either complete or absent.
 
-What is in one: the policy (`training.policies.trained.saved`) and what the run goes on with
-(`servogym.training.learn.state`). A folder is written beside its place and renamed, so a run that
-is killed leaves the checkpoint before.
+A checkpoint holds the policy (`training.policies.trained.saved`) and the state from which the run
+continues (`servogym.training.learn.state`). Its folder is written under another name and then
+renamed, so a run that is killed leaves the previous checkpoint intact.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ except ImportError:  # Windows
 
 FOLDER, LOCK = "checkpoints", ".lock"
 VERSIONED = ("servogym", "mujoco", "gymnasium", "stable-baselines3", "torch")
-DECIDING = ("servogym", "mujoco")  # of them those that make another environment of the same id
+DECIDING = ("servogym", "mujoco")  # other versions make another environment of the same id
 STEPS_COLUMN = "time/total_timesteps"
 
 
@@ -45,12 +45,12 @@ def save(model, about: dict[str, Any], folder: Path, *, resumable: bool = True) 
 
     Args:
         model: the algorithm with its environments.
-        about: the run; steps, CPU-seconds and versions are added.
-        folder: of this checkpoint.
-        resumable: whether a run can go on from it; else it is the policy alone.
+        about: description of the run; steps, CPU-seconds and versions are added.
+        folder: folder of this checkpoint.
+        resumable: whether a run can continue from it; otherwise it holds the policy alone.
     """
     scratch = folder.with_name(f".{folder.name}.{os.getpid()}")
-    shutil.rmtree(scratch, ignore_errors=True)  # Ctrl-C came while this one was written
+    shutil.rmtree(scratch, ignore_errors=True)  # left by an interrupted save
     scratch.mkdir(parents=True)
     weights.save(model, scratch)
     if resumable:
@@ -74,7 +74,7 @@ def save(model, about: dict[str, Any], folder: Path, *, resumable: bool = True) 
 
 
 def save_numbered(model, about: dict[str, Any], out: Path) -> None:
-    """Write the checkpoint of the present number of steps; only the latest has a replay buffer."""
+    """Write a checkpoint named after its steps; only the latest one has a replay buffer."""
     folder = out / FOLDER / f"{model.num_timesteps:010d}"
     save(model, about, folder)
     for other in numbered(out):
@@ -83,15 +83,15 @@ def save_numbered(model, about: dict[str, Any], out: Path) -> None:
 
 
 def numbered(out: Path) -> list[Path]:
-    """The checkpoints of a run, the oldest first."""
+    """Return the checkpoints of a run, the oldest first."""
     return sorted(file.parent for file in (out / FOLDER).glob(f"[0-9]*/{ABOUT}"))
 
 
 @contextlib.contextmanager
 def alone(out: Path) -> Iterator[None]:
-    """Have the folder of a run for oneself; the system releases what a dead process held.
+    """Lock the folder of a run; the system releases the lock of a dead process.
 
-    Raises ValueError where another process trains there.
+    Raises ValueError if another process trains there.
     """
     if fcntl is None:
         yield
@@ -109,19 +109,19 @@ def alone(out: Path) -> Iterator[None]:
             yield
         finally:
             (out / LOCK).unlink(missing_ok=True)
-            with contextlib.suppress(OSError):  # what holds something stays
+            with contextlib.suppress(OSError):  # folders that are not empty stay
                 for folder in made:
                     folder.rmdir()
 
 
 def tidy(out: Path) -> None:
-    """Remove what was cut off while it was written."""
+    """Remove checkpoints whose writing was interrupted."""
     for folder in [*out.glob(".best.*"), *(out / FOLDER).glob(".[0-9]*")]:
         shutil.rmtree(folder)
 
 
 class Checkpoints(BaseCallback):
-    """A checkpoint every `every` steps, where all that was counted has been learned from."""
+    """Saves a checkpoint every `every` steps, when all counted steps have been learned from."""
 
     def __init__(self, about: dict[str, Any], out: Path, every: int):
         super().__init__()
@@ -149,13 +149,13 @@ class ContinuedCsv(CSVOutputFormat):
                 rows = list(csv.DictReader(earlier))
         super().__init__(str(file))
         for row in rows:
-            count = row.get(STEPS_COLUMN) or ""  # a row may have been cut off
+            count = row.get(STEPS_COLUMN) or ""  # the last row may be incomplete
             whole = None not in row and None not in row.values()
             if whole and count.isdigit() and int(count) <= steps:
                 self.write(row, dict.fromkeys(row, ()))
 
     def write(self, key_values, key_excluded, step=0) -> None:
-        """A row; what was read from the file is text, and stays unquoted."""
+        """Write a row; numbers that were read from the file as text stay unquoted."""
         numbers = {
             key: _number(value) if isinstance(value, str) else value
             for key, value in key_values.items()

@@ -1,4 +1,4 @@
-"""Evaluation of policies: the same episodes each time, and holding still beside them."""
+"""Evaluates policies on the same episodes each time, and compares them with holding still."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -14,10 +14,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from ...drive.model import foreign
 from . import checkpoint
 
-PATIENCE, FALL = 8, 0.15  # evaluations running so far below the best end a training
-EPISODES = 16  # of an evaluation, one in each of as many environments
-WRITTEN = ".evaluations"  # what a kill may leave half done, until it is whole
-EPISODES_SEED = 20_000_000  # they are the same for every run
+PATIENCE, FALL = 8, 0.15  # a training ends after so many evaluations this far below the best
+EPISODES = 16  # of an evaluation, each in an environment of its own
+WRITTEN = ".evaluations"  # temporary name of a file until it is complete
+EPISODES_SEED = 20_000_000  # the same for every run
 
 
 class Score(NamedTuple):
@@ -33,13 +33,13 @@ class Score(NamedTuple):
 
 
 class HoldStill:
-    """The policy every other one has to beat: actions of 0, or no correction."""
+    """A policy with actions of 0, or no correction, which every other policy has to beat."""
 
     def __init__(self, actions: gym.Space):
         self.shape = actions.shape or ()
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """Actions, shape ``(num_envs, actions)``, and no state."""
+        """Return actions of 0, shape ``(num_envs, actions)``, and no state."""
         return np.zeros((len(observation), *self.shape), np.float32), None
 
 
@@ -51,7 +51,7 @@ def score(policy, env: VecEnv) -> Score:
 
 
 class EvaluationCallback(EvalCallback):
-    """SB3's evaluation on fixed episodes, going on where a checkpoint was made; keeps the best."""
+    """SB3's evaluation on fixed episodes; it continues from a checkpoint and keeps the best."""
 
     def __init__(self, env: VecEnv, about: dict[str, Any], out: Path, every: int, console: Console):
         freq = max(every // about["envs"], 1)
@@ -60,10 +60,10 @@ class EvaluationCallback(EvalCallback):
         )
         self.log_path = str(out / WRITTEN)
         self.about, self.out, self.console = about, out, console
-        self.fallen = 0  # evaluations running that were far below the best
+        self.fallen = 0  # consecutive evaluations far below the best
 
     def go_on(self, steps: int) -> None:
-        """Recover what was found up to `steps`."""
+        """Recover the results up to `steps`."""
         self.n_calls = steps // self.about["envs"]
         file = self.out / "evaluations.npz"
         if not file.is_file():
@@ -79,7 +79,7 @@ class EvaluationCallback(EvalCallback):
         self.best_mean_reward = max(means, default=-np.inf)
 
     def now(self, model: Any) -> None:
-        """Evaluate a model that learns by itself, without `model.learn`; the latest is kept."""
+        """Evaluate a model that is trained without `model.learn`; the latest one is kept."""
         if not self.n_calls:
             self.init_callback(model)
         self.best_mean_reward = -np.inf
@@ -87,7 +87,7 @@ class EvaluationCallback(EvalCallback):
         self._on_step()
 
     def _on_training_end(self) -> None:
-        """Evaluate a run once that was shorter than the steps from one evaluation to the next."""
+        """Evaluate a run that was too short for a single evaluation."""
         if not self.evaluations_timesteps:
             self.eval_freq = self.n_calls
             self._on_step()

@@ -1,12 +1,12 @@
-"""Hyper-parameters of the training runs: for each algorithm the common ones, and what a task says.
+"""Hyper-parameters of training runs: common ones for each algorithm, overridden by the task.
 
-The names are those of the arguments of SB3's algorithms; `n_envs` and `normalize` (running mean and
-variance of observations and rewards) are of what is put around the environments; so are `streams`,
-by which environments draw their episodes: "independent", or "consecutive" as SB3 has it, where
-environment k of seed s is that of s + k, and trainings of neighbouring seeds share nearly all
-episodes. `batch_size` of
-PPO is made smaller where it does not divide the rollout, `n_steps` times the environments. A
-`learning_rate` of two numbers goes from the first to the second in the course of the run.
+The names are those of the arguments of SB3's algorithms. Three belong to the environments instead:
+`n_envs`, `normalize` (running mean and variance of observations and rewards) and `streams`, by
+which environments draw their episodes. "independent" gives each its own stream. With "consecutive",
+as in SB3, environment k of seed s has the stream s + k, so trainings of neighbouring seeds share
+nearly all episodes. PPO's `batch_size` is reduced if it does not divide the rollout, `n_steps`
+times the environments. A `learning_rate` of two numbers changes linearly from the first to the
+second.
 """
 
 import math
@@ -23,12 +23,12 @@ COMMON: dict[str, dict[str, Any]] = {
         "n_envs": 64,
         "normalize": True,
         "streams": INDEPENDENT,
-        "n_steps": 64,  # an environment and update
+        "n_steps": 64,  # per environment and update
         "batch_size": 512,
         "n_epochs": 5,
         "learning_rate": 1e-3,
         "gamma": 0.98,
-        # careful at first: a set-point thrown about trips the following error
+        # little noise at first: large steps of the set-point end in a following error
         "policy_kwargs": {"log_std_init": -1.0, "net_arch": [64, 64]},
     },
     "SAC": {
@@ -45,7 +45,7 @@ COMMON: dict[str, dict[str, Any]] = {
         "policy_kwargs": {"net_arch": [64, 64]},
     },
 }
-# of a correction: its bounds are the unit, in which to explore boldly
+# For a correction: its actions are shares of the bounds, so exploration may be bold.
 RESIDUAL: dict[str, dict[str, Any]] = {
     "PPO": {
         "learning_rate": [1e-3, 1e-4],
@@ -53,10 +53,10 @@ RESIDUAL: dict[str, dict[str, Any]] = {
     },
     "SAC": {},
 }
-COMPILED = "compiled"  # PPO of an earlier version; false is what there is
-STEPS = 500_000  # of training, of all environments together
+COMPILED = "compiled"  # a removed implementation of PPO; only false is accepted
+STEPS = 500_000  # of a training, of all environments together
 MOST = 10**9
-WHOLE = {  # the least and the most of those that are whole numbers
+WHOLE = {  # ranges of whole numbers
     "n_envs": (1, 100_000), "n_steps": (1, MOST), "batch_size": (2, MOST), "n_epochs": (1, MOST),
     "buffer_size": (1, MOST), "learning_starts": (0, MOST), "train_freq": (1, MOST),
     "gradient_steps": (-1, MOST), "target_update_interval": (1, MOST),
@@ -66,26 +66,26 @@ REAL = {
     "gamma": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "tau": (0.0, 1.0), "clip_range": (0.0, 100.0),
     "vf_coef": (0.0, 1e6), "max_grad_norm": (0.0, 1e6), "target_kl": (0.0, 1e6),
 }
-OF_A_RUN = {  # not of its algorithm
+OF_A_RUN = {  # ranges of numbers that belong to a run and not to its algorithm
     "steps": (1, 10**12), "checkpoint_every": (1, 10**12), "evaluate_every": (1, 10**12),
     **COUNTED,
 }
 FLAGS = ("normalize", "normalize_advantage", "use_sde")
-OWN = {  # what a run says of itself
+OWN = {  # names that are not hyper-parameters, with the place where they are given
     "seed": "give --seed", "env": "give the id of the environment", "policy": "it is MlpPolicy",
     "device": "a run is on the processor", "tensorboard_log": "the files are in --out",
 }
 
 
 def counted(given: Mapping[str, int | None]) -> None:
-    """Raises ValueError naming a number of a run that cannot be; it needs no torch to say so."""
+    """Raise ValueError for a number of a run that is out of range; torch is not needed."""
     for name, value in given.items():
         if value is not None:
             whole(name, value, *OF_A_RUN[name])
 
 
 def checked(settings: Mapping[str, Any]) -> None:
-    """Raises ValueError naming a hyper-parameter that cannot be, its value and what is possible."""
+    """Raise ValueError for an invalid hyper-parameter, with its value and range."""
     for name, value in settings.items():
         if name in OWN:
             raise ValueError(f"{name} = {value!r} is not a hyper-parameter: {OWN[name]}")
@@ -136,7 +136,7 @@ def of(
 
 
 def divided(table: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """`table` with `settings`, checked; where these say nothing of batches, they divide a rollout.
+    """Return `table` with `settings`, checked; by default batches divide a rollout.
 
     Raises ValueError as `checked` does.
     """

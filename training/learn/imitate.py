@@ -1,7 +1,7 @@
-"""Behaviour cloning: a network that acts as a policy did, from demonstrations (Pomerleau 1989).
+"""Behaviour cloning: a network learns to act as a demonstrated policy (Pomerleau 1989).
 
-Where rewards are too rare for chance to find them, as in `Commissioning-v0`, a policy that is there
-already shows the way. What comes out is a checkpoint like any other: `--start` goes on from it.
+If random exploration never finds a reward, as in `Commissioning-v0`, an existing policy shows what
+to do. The result is a checkpoint like any other, from which `--start` continues.
 """
 
 import math
@@ -14,32 +14,32 @@ import torch
 from ..policies.trained.residual import baseline, public
 from .sb3 import ServoVecEnv
 
-UPDATES, BATCH, RATE = 20_000, 512, 3e-3  # of the fit; the rate falls to 0, as a cosine
-RARE = 20.0  # how much oftener a step is drawn near which the action changes than one of waiting
-NEAR = 2  # steps
-# A set-point is wanted to a ten-thousandth, a bit on its side of 0: what takes more than two values
-# in the demonstrations counts as much more.
+UPDATES, BATCH, RATE = 20_000, 512, 3e-3  # of the fit; the rate falls to 0 as a cosine
+RARE = 20.0  # weight of a step close to a change of the action, against 1 while waiting
+NEAR = 2  # steps after a change that count as close
+# A set-point has to be right to a ten-thousandth, a bit only has to have the right sign. Components
+# with more than two values in the demonstrations are therefore weighted by:
 PRECISE = 10_000.0
 CORRECTED = 1.0  # half the range of an action
-NOISE = 0.2  # on the last action as it is seen, so that small errors do not add up
+NOISE = 0.2  # of the last action in an observation, so that small errors do not add up
 
 
 class Shown(NamedTuple):
-    """What was demonstrated, a row a step."""
+    """Demonstrations, one row per step."""
 
     observations: np.ndarray  # shape (steps, seen), float32
     actions: np.ndarray  # shape (steps, actions), float32
-    weights: np.ndarray  # shape (steps,), by which a step is drawn
+    weights: np.ndarray  # shape (steps,), with which a step is drawn
 
 
 def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None) -> Shown:
-    """Play a policy by name in all environments, at least so many steps together.
+    """Play a policy by name in all environments, at least `steps` steps in total.
 
-    With a `learner`, PPO with what it has learned so far, its actions are played and the policy
-    says what would have been right (Ross et al. 2011); where a component is off by more than
-    `CORRECTED` the policy's own is played, so that it never loses its place.
+    With a `learner`, a partly trained PPO, the learner's actions are played and the policy states
+    the right ones (Ross et al. 2011). A component that is off by more than `CORRECTED` is replaced
+    by the policy's, so that the policy never loses its place.
 
-    Raises ValueError where it does not fit the task or gives no actions.
+    Raises ValueError if the policy does not fit the task or gives no actions.
     """
     policies = [baseline(policy, one) for one in env.vector.envs]
     seen = np.asarray(env.reset())
@@ -47,7 +47,7 @@ def demonstrated(env: ServoVecEnv, policy: str, steps: int, learner: Any = None)
         one.reset(seen[i], public(env.reset_infos[i]))
     observations, actions, weights = [], [], []
     last = np.zeros((len(policies), env.action_space.shape[0]), np.float32)  # type: ignore[index]
-    since = np.zeros(len(policies))  # steps, since the action changed
+    since = np.zeros(len(policies))  # steps since the action changed
     for _ in range(math.ceil(steps / len(policies))):
         given = np.stack([one.act(row) for one, row in zip(policies, seen, strict=True)])
         changed = (given != last).any(axis=1)
@@ -75,9 +75,9 @@ def _corrected(learner: Any, seen: np.ndarray, right: np.ndarray) -> np.ndarray:
 def learn(
     model: Any, policy: str, steps: int, seed: int, *, previous_action: bool
 ) -> Iterator[None]:
-    """Half of the steps are the policy's, in the other half it corrects what was learned of them.
+    """Learn from steps that the policy plays, then from as many in which it corrects the learner.
 
-    Yields after each of the two.
+    Yields after each half.
 
     Args:
         model: PPO of stable-baselines3, with its environments.
@@ -101,7 +101,7 @@ def learn(
 
 
 def fit(model: Any, shown: Shown, seed: int, *, previous_action: bool) -> None:
-    """Give the mean action of PPO's policy what was shown.
+    """Fit the mean action of PPO's policy to demonstrations.
 
     Args:
         model: PPO of stable-baselines3, with its environments.

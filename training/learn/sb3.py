@@ -18,8 +18,8 @@ from ...envs.environment.vector_env import ServoVectorEnv
 from ..policies.trained.residual import ResidualVectorEnv
 from ..policies.trained.saved import stable_baselines3
 
-stable_baselines3()  # tells what has to be installed
-STREAM = 0x5E40  # of the seeds of trainings, apart from other uses of the same number
+stable_baselines3()  # raises ImportError with the command that installs it
+STREAM = 0x5E40  # separates the seeds of trainings from other uses of the same number
 
 # isort: split
 import torch  # noqa: E402
@@ -31,20 +31,20 @@ def make(
     env_id: str, num_envs: int = 1, *, residual: str | None = None,
     bounds: Sequence[float] | None = None, device: str | None = None, **arguments: Any,
 ) -> "ServoVecEnv":
-    """Environments for SB3.
+    """Return environments for SB3.
 
     Args:
-        env_id: of any task, see `servogym.envs.environment.registry.task`.
-        num_envs: how many.
-        residual: a policy by name; the actions are bounded corrections of what it does.
+        env_id: id of any task, see `servogym.envs.environment.registry.task`.
+        num_envs: number of environments.
+        residual: name of a policy; the actions are bounded corrections of its actions.
         bounds: the largest correction of each component of an action, 0..1.
-        device: of warp, on which physics and drives are stepped; on the cores if not given. SB3
-            keeps what they give in arrays of NumPy, so it is brought back at each step.
+        device: warp device on which physics and drives are stepped; the CPU if not given. SB3 keeps
+            results in NumPy arrays, so they are copied back at each step.
         **arguments: of `ServoVectorEnv` and of the task.
 
     Raises:
-        ValueError: an unknown id, a residual without bounds or the contrary, and as
-            `ServoVectorEnv` and `ResidualVectorEnv` do.
+        ValueError: an unknown id, a residual without bounds or the contrary, or an argument that
+            `ServoVectorEnv` or `ResidualVectorEnv` refuses.
     """
     kind, same = task(env_id), AutoresetMode.SAME_STEP
     if (residual is None) != (bounds is None):
@@ -82,7 +82,7 @@ def learning_rate(rate: float | Sequence[float]) -> float | LinearSchedule:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: with nets this small, a second one costs more than it brings."""
+    """Run torch on one thread, because a second one costs more than it gains in small networks."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -92,7 +92,7 @@ def one_thread() -> Iterator[None]:
 
 
 class ServoVecEnv(VecEnv):
-    """What SB3 trains on; the numbers are those of its `DummyVecEnv` of the same environments.
+    """Environments for SB3 that return the same numbers as SB3's `DummyVecEnv`.
 
     An info is nearly empty until an episode ends: then it is that of the last step, with
     ``terminal_observation`` and ``TimeLimit.truncated``, but without ``state``, ``time`` and
@@ -121,7 +121,7 @@ class ServoVecEnv(VecEnv):
         )
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seeds of the episodes that the next reset begins: `seed` + k of environment k.
+        """Set the seeds of the next reset: `seed` + k for environment k.
 
         With `independent` they are drawn from `seed` (numpy.random.SeedSequence), so that vectors
         of other seeds have no episode in common.
@@ -150,7 +150,7 @@ class ServoVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """One step of each: observations, rewards, dones, infos."""
+        """Step all environments; return observations, rewards, dones and infos."""
         *given, ended = self.vector.step(self._actions)
         observations, rewards, terminated, truncated = map(_array, given)
         dones = terminated | truncated
@@ -164,15 +164,15 @@ class ServoVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
-        """Stop the threads, close what was rendered."""
+        """Stop the threads and close the renderers."""
         self.vector.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """A picture of each with ``render_mode="rgb_array"``, else None of each."""
+        """Return a picture of each environment with ``render_mode="rgb_array"``, else None."""
         return self.vector.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """An attribute of the environments. Raises AttributeError."""
+        """Return an attribute of the environments. Raises AttributeError if there is none."""
         return [getattr(env, attr_name) for env in self._chosen(indices)]
 
     def set_attr(
@@ -186,7 +186,7 @@ class ServoVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None,
         **method_kwargs: Any
     ) -> list[Any]:
-        """What a method of the environments returns."""
+        """Return the results of a method of the environments."""
         return [
             getattr(env, method_name)(*method_args, **method_kwargs)
             for env in self._chosen(indices)
@@ -195,7 +195,7 @@ class ServoVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type, indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """No environment is: what SB3 puts around is put around all of them."""
+        """Return False for each environment, because SB3 wraps all of them together."""
         return [False for _ in self._chosen(indices)]
 
     def _chosen(self, indices: int | Iterable[int] | None) -> list[ServoEnv]:
@@ -203,12 +203,12 @@ class ServoVecEnv(VecEnv):
 
 
 def _array(given: Any) -> np.ndarray:
-    """An array, or what a tensor holds on its device."""
+    """Return an array, copied from its device if it is a tensor."""
     return given.cpu().numpy() if isinstance(given, torch.Tensor) else given
 
 
 def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """The info of environment `i` out of the infos of all, in Python's own types."""
+    """Return the info of environment `i` from the infos of all, in Python's types."""
     shown = {name: values for name, values in infos.items() if not name.startswith("_")}
     drawn = shown.pop("parameters", {})
     info = {name: values[i : i + 1].tolist()[0] for name, values in shown.items()}

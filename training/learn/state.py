@@ -1,8 +1,8 @@
-"""What a training run goes on with, as arrays: nothing is unpickled when it is read.
+"""The state from which a training run continues, as arrays: nothing is unpickled when it is read.
 
-`state.npz`, beside the `weights.npz` of the policy: counters, the state of the optimizers,
+`state.npz`, beside the `weights.npz` of the policy, holds counters, the state of the optimizers,
 variables of the algorithm outside its policy (the entropy coefficient of SAC), running means of
-observations and rewards, the episodes last seen. `replay.npz`: what SAC has seen.
+observations and rewards, and the latest episodes. `replay.npz` holds the replay buffer of SAC.
 """
 
 from collections import deque
@@ -42,9 +42,9 @@ def save(model, folder: Path) -> None:
 
 
 def load(model, folder: Path) -> None:
-    """Put a new algorithm, made with the settings of the run, where the saved one was.
+    """Restore the saved state of a run in a new algorithm made with the same settings.
 
-    Raises ValueError where the checkpoint has no state, or that of another network.
+    Raises ValueError if the checkpoint has no state, or that of another network.
     """
     if not (folder / STATE).is_file():
         raise ValueError(
@@ -67,10 +67,10 @@ def begin(model, first: weights.Weights, steps: int) -> None:
 
     Args:
         model: the algorithm, with its environments.
-        first: of the other training.
-        steps: of the other training, by which its means count.
+        first: weights of the other training.
+        steps: steps of the other training, the weight of its means.
 
-    Raises ValueError where they are of another network.
+    Raises ValueError if they are of another network.
     """
     seen = tuple(model.observation_space.shape)
     if first.shape[:1] != seen:
@@ -130,7 +130,7 @@ def save_replay(model, folder: Path) -> None:
 
 
 def load_replay(model, folder: Path) -> None:
-    """Read it into the buffer of the algorithm. Raises ValueError where it is of another one."""
+    """Read `replay.npz` into an algorithm's buffer. Raises ValueError if it is of another run."""
     buffer, file = model.replay_buffer, folder / REPLAY
     into = _replayed(buffer)
     arrays = foreign.arrays(file, sum(array.nbytes for array in into.values()) + SLACK)

@@ -1,7 +1,7 @@
-"""`servogym train`: PPO or SAC of stable-baselines3 on an environment, to be interrupted at will.
+"""`servogym train`: PPO or SAC of stable-baselines3; a run can be interrupted at any time.
 
-A run has a folder: `progress.csv`, `evaluations.npz` (the same episodes each time), `checkpoints/`
-and `best/`, the policy of the best evaluation.
+The folder of a run has `progress.csv`, `evaluations.npz` (on the same episodes each time),
+`checkpoints/`, and `best/` with the policy of the best evaluation.
 """
 
 import inspect
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from . import sb3  # first: tells what has to be installed
+from . import sb3  # first, because it says what has to be installed
 
 # isort: split
 from stable_baselines3 import PPO, SAC
@@ -40,24 +40,24 @@ ALGORITHMS: dict[str, type[PPO] | type[SAC]] = {"PPO": PPO, "SAC": SAC}
 
 @dataclass(frozen=True)
 class Run:
-    """What a training run is; each of its checkpoints says it.
+    """The description of a training run, as each of its checkpoints states it.
 
     Args:
-        env_id: of the environment.
+        env_id: id of the environment.
         drive: drive model, by name or folder.
         algorithm: PPO or SAC.
-        seed: of environments, weights and actions.
+        seed: seed of environments, weights and actions.
         envs: number of environments.
-        arguments: others of the environment, in JSON's types.
+        arguments: further arguments of the environment, in JSON's types.
         hyperparameters: as in `servogym.training.learn.hyperparameters`.
-        residual: a policy whose actions are corrected; none: the actions are the policy's own.
+        residual: a policy whose actions are corrected; None if the network acts alone.
         bounds: the largest correction of each component of an action, 0..1.
-        start: what the checkpoint says whose weights it began with; none: random ones.
-        demonstrate: a policy that shows what to do, and is imitated; none: rewards are sought.
-        device: of warp, on which the environments it learns in are stepped; none: on the cores.
+        start: description of the checkpoint with whose weights it began; None for random weights.
+        demonstrate: a policy that is imitated; None to learn from rewards.
+        device: warp device on which the training environments are stepped; None for the CPU.
 
     Raises:
-        ValueError: naming the argument, its value and what is possible.
+        ValueError: an argument is out of range; the message has its value and range.
     """
 
     env_id: str
@@ -78,7 +78,7 @@ class Run:
         saved.judged_apart("--seed", self.seed, self.envs)
 
     def vector(self, envs: int, device: str | None = None, streams: str = CONSECUTIVE) -> VecEnv:
-        """Environments of this run. Raises ValueError as the environment does."""
+        """Return environments of this run. Raises ValueError as the environment does."""
         try:
             made = sb3.make(
                 self.env_id, envs, drive=self.drive, residual=self.residual, bounds=self.bounds,
@@ -91,7 +91,7 @@ class Run:
 
 
 def _run(training: Training) -> Run:
-    """A new run of what is asked for, and the defaults."""
+    """Return a new run from the request and the defaults."""
     given, algorithm = training.given, training.algorithm or "PPO"
     residual = bool(training.residual)
     table = hyperparameters.of(training.task, algorithm, training.envs, residual=residual)
@@ -100,12 +100,12 @@ def _run(training: Training) -> Run:
 
 
 def _started(training: Training, folder: Path) -> Run:
-    """A new run that begins with the weights of a checkpoint: what is not given is as it was there.
+    """Return a new run that begins with the weights, and other arguments, of a checkpoint.
 
-    A correction may go on top of another policy than the one it began with, by name.
+    A correction may be put on another policy than before, by name.
 
-    Raises ValueError where what the weights mean would be another: task, algorithm, bounds, a
-    correction or not.
+    Raises ValueError if the request changes what the weights mean: task, algorithm, bounds, or
+    whether they are a correction.
     """
     about, given = saved.read(folder), training.given
     fixed = ["env_id", "algorithm", "bounds", *(["residual"] if not about.get("residual") else [])]
@@ -116,7 +116,7 @@ def _started(training: Training, folder: Path) -> Run:
                 f"{given[name]!r}: leave it out, or start from another checkpoint"
             )
     table = {"n_envs": training.envs or about["envs"]} | about["hyperparameters"]
-    table.pop(hyperparameters.COMPILED, None)  # its weights are weights
+    table.pop(hyperparameters.COMPILED, None)  # the weights can be used all the same
     chosen = hyperparameters.divided(table, training.settings or {})
     kept = "env_id", "drive", "algorithm", "residual", "bounds"
     then = {name: about[name] for name in kept if name in about}
@@ -128,7 +128,7 @@ def _started(training: Training, folder: Path) -> Run:
 
 
 def _continued(training: Training, folder: Path, console: Console) -> Run:
-    """The run of a checkpoint. Raises ValueError where something else is asked for."""
+    """Return the run of a checkpoint. Raises ValueError if the request differs from it."""
     about = saved.read(folder)
     for name, value in training.given.items():
         if value != about.get(name):
@@ -218,9 +218,9 @@ def train(
 
 
 def _environments(run: Run) -> tuple[VecEnv, VecEnv, dict[str, Any]]:
-    """Those it learns in, those it is judged in, and the settings of the algorithm."""
+    """Return environments for training and evaluation, and the settings of the algorithm."""
     settings = dict(run.hyperparameters)
-    streams = settings.pop("streams", CONSECUTIVE)  # an older one does not say it
+    streams = settings.pop("streams", CONSECUTIVE)  # older checkpoints lack it
     env, judged = run.vector(run.envs, run.device, streams), run.vector(EPISODES)
     settings["learning_rate"] = sb3.learning_rate(settings["learning_rate"])
     if settings.pop("normalize"):
@@ -230,7 +230,7 @@ def _environments(run: Run) -> tuple[VecEnv, VecEnv, dict[str, Any]]:
 
 
 def _model(run: Run, env: VecEnv, settings: Mapping[str, Any]) -> Any:
-    """The algorithm. Raises ValueError for settings it does not take."""
+    """Return the algorithm. Raises ValueError for settings that it does not take."""
     kind = ALGORITHMS[run.algorithm]
     try:
         return kind("MlpPolicy", env, seed=run.seed, device="cpu", **settings)
@@ -246,9 +246,9 @@ def _model(run: Run, env: VecEnv, settings: Mapping[str, Any]) -> Any:
 def _go_on(
     run: Run, model: Any, evaluation: EvaluationCallback, last: Path, console: Console
 ) -> None:
-    """Be where the run was at its last checkpoint."""
+    """Restore the run at its last checkpoint."""
     state.load(model, last)
-    # not the episodes of the beginning once more
+    # new seeds, so that the first episodes are not repeated
     seeds = np.random.SeedSequence([run.seed, model.num_timesteps])
     model.set_random_seed(int(seeds.generate_state(1)[0]) % 2**31)
     if isinstance(model, SAC):
@@ -262,7 +262,7 @@ def _go_on(
 
 
 def _imitate(run: Run, model: Any, evaluation: EvaluationCallback, training: Training) -> None:
-    """Learn from demonstrations, in one go. Raises ValueError for a run that goes on."""
+    """Learn from demonstrations in one go. Raises ValueError for a run that is resumed."""
     if training.resume:
         raise ValueError(
             f"{training.folder} was learned from demonstrations, in one go: --start "
@@ -279,7 +279,7 @@ def _learn(
     run: Run, model: Any, evaluation: EvaluationCallback, training: Training, console: Console,
     progress: bool,
 ) -> None:
-    """Learn by rewards; Ctrl-C leaves a checkpoint."""
+    """Learn from rewards; Ctrl-C leaves a checkpoint."""
     out, every = training.folder, training.checkpoint_every
     callbacks: list[Any] = [evaluation, checkpoint.Checkpoints(asdict(run), out, every)]
     bar = ProgressBarCallback() if progress and find_spec("tqdm") is not None else None
@@ -289,7 +289,7 @@ def _learn(
             training.steps - model.num_timesteps, callbacks, reset_num_timesteps=not training.resume
         )
     except BaseException as error:
-        if bar and hasattr(bar, "pbar"):  # or it may wait at the end, for ever
+        if bar and hasattr(bar, "pbar"):  # without this it may wait for ever at the end
             bar.pbar.close()
         if not interrupted(error):
             raise
@@ -310,10 +310,11 @@ def _logger(out: Path, steps: int) -> Logger:
 
 
 def _without_compiler() -> None:
-    """Spare optimizers torch's compiler, which they import only to say that they are not compiled.
+    """Keep optimizers from importing torch's compiler, which takes 1.7 s of each command.
 
-    That took 1.7 s of each command. Not done to who calls `train`, and may compile with torch.
-    Adam's own step, which PPO takes, is unwrapped to what it computes, without gradients.
+    They import it only to mark methods as not compiled. Callers of `train` are not affected,
+    because they may use the compiler. Adam's step, which PPO uses, is unwrapped and runs without
+    gradients.
     """
     Adam.step = no_grad()(inspect.unwrap(Adam.step))
     for name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
@@ -323,7 +324,7 @@ def _without_compiler() -> None:
 
 
 def run(training: Training, console: Console, *, progress: bool = False) -> int:
-    """The command; -> exit status."""
+    """Run the command; -> exit status."""
     _without_compiler()
     scores = train(training, console, progress=progress)
     still = f"{training.residual} alone" if training.residual else "holding still"

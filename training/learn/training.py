@@ -1,4 +1,4 @@
-"""What is asked of a training. Checked before stable-baselines3 is loaded, which takes seconds."""
+"""A request for a training, checked before stable-baselines3 is loaded, which takes seconds."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,41 +11,41 @@ from ...envs.environment.registry import short, task
 from ...envs.environment.servo_env import ServoEnv
 from . import hyperparameters
 
-# what a run that goes on has to have as well, where it is given
+# Arguments that, if given, must equal those of the run that is continued.
 SAME = ("drive", "algorithm", "seed", "envs", "arguments", "residual", "bounds", "demonstrate",
         "device")
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training that is asked for.
+    """A request for a training.
 
-    What is None is the default in parentheses; in a run that goes on, or that starts with the
-    weights of another, it is as it was there.
+    An argument of None takes the default in parentheses. A run that is resumed, or starts from the
+    weights of another, takes it from there.
 
     Args:
         env: any task, by its id or class, see `servogym.envs.environment.registry.task`.
-        steps: of all environments together, from the beginning of the run.
-        out: folder of the run; ``out/ENV-DRIVE-ALGORITHM-SEED`` if not given.
-        resume: go on from the latest checkpoint.
+        steps: total steps of all environments from the beginning of the run.
+        out: folder of the run; by default ``out/ENV-DRIVE-ALGORITHM-SEED``.
+        resume: whether to continue from the latest checkpoint.
         drive: drive model (generic).
         algorithm: PPO or SAC (PPO).
-        seed: of environments, weights and actions (0).
-        envs: number of environments; if not given, that of the hyper-parameters.
-        arguments: others of the environment, in JSON's types; `max_episode_steps` too.
-        settings: hyper-parameters that differ from the table, for a new run.
-        residual: a policy whose actions are corrected by what is learned.
+        seed: seed of environments, weights and actions (0).
+        envs: number of environments; by default that of the hyper-parameters.
+        arguments: further arguments of the environment in JSON's types, with `max_episode_steps`.
+        settings: hyper-parameters of a new run that differ from the table.
+        residual: a policy whose actions are corrected.
         bounds: the largest correction of each component of an action, 0..1.
-        start: a training or a checkpoint whose weights this run begins with; arguments that are not
-            given are as they were there, one by one.
-        demonstrate: a policy that is imitated in all `steps`; rewards are not looked at.
-        device: of warp, on which the environments it learns in are stepped, "cuda" or "cpu"; it is
-            judged on the cores.
-        checkpoint_every: steps from one to the next.
-        evaluate_every: steps from one to the next; a shorter run is evaluated at its end.
+        start: a training or a checkpoint with whose weights this run begins; it also gives every
+            argument that is None here.
+        demonstrate: a policy that is imitated in all `steps`, without rewards.
+        device: warp device on which the training environments are stepped, "cuda" or "cpu";
+            evaluations stay on the CPU.
+        checkpoint_every: steps between checkpoints.
+        evaluate_every: steps between evaluations; a shorter run is evaluated at its end.
 
     Raises:
-        ValueError: naming what is wrong.
+        ValueError: an argument is invalid; the message names it.
     """
 
     env: str | type[ServoEnv]
@@ -96,7 +96,7 @@ class Training:
 
     @property
     def given(self) -> dict[str, Any]:
-        """What a checkpoint says too, as far as it is given, in JSON's types."""
+        """Return the given arguments that a checkpoint also states, in JSON's types."""
         values = {name: getattr(self, name) for name in SAME}
         if self.arguments is not None:
             values["arguments"] = json.loads(json.dumps(dict(self.arguments)))
@@ -107,7 +107,7 @@ class Training:
 
     @property
     def folder(self) -> Path:
-        """Of the run."""
+        """Return the folder of the run."""
         if self.out is not None:
             return self.out
         name, drive = short(self.task.ID).replace("/", "-"), Path(self.drive or "generic").name
