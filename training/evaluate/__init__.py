@@ -1,1 +1,1 @@
-"""Judges policies and methods: episodes, metrics, comparisons, results."""
+"""Evaluates policies and methods: episodes, metrics, comparisons, results."""

@@ -20,7 +20,7 @@ from ..scale.work import ALONE, Work
 from .grid import Grid, played
 
 Row = dict[str, Any]  # of the CSV
-OPTIONS = {  # of the command line, where an argument of `cells` has another name
+OPTIONS = {  # arguments of `cells` that have another name on the command line
     "strategies": "policy", "payloads": "payload", "distances": "distance", "methods": "method",
     "parameter_file": "parameter-file",
 }
@@ -109,7 +109,7 @@ def known_mechanics(names: Sequence[str], others: Sequence[str] = ()) -> None:
 
 
 def written(what: str, drive: str, quick: bool, chosen: Mapping[str, Any]) -> str:
-    """The command that makes the files again."""
+    """Return the command that writes the files again."""
     words = ["servogym benchmark", what, "--drive", drive, *(["--quick"] if quick else [])]
     for name, value in chosen.items():
         values = value if isinstance(value, list | tuple) else [value]

@@ -26,7 +26,7 @@ from .parts import Episodes, warm
 from .tables import summaries
 
 ZERO = "hold"
-# arguments that are a way to command and not a part of the task
+# arguments that set how a policy commands and are no part of the task
 COMMANDING = {name for row in POLICIES.values() for name in row.arguments}
 
 
@@ -58,20 +58,20 @@ class Request:
 
     @property
     def seeds(self) -> list[int]:
-        """Seeds of the episodes. Raises ValueError for numbers out of range."""
+        """Return the seeds of the episodes. Raises ValueError for numbers out of range."""
         return fixed(self.seed, self.episodes)
 
     @property
     def each(self) -> list[Any]:
-        """The policies, each once."""
+        """Return the policies, each once."""
         return list(dict.fromkeys(self.policies))
 
     def needed(self, policy: Any) -> Setup:
-        """The setup in which a policy plays: with the arguments it needs and those given."""
+        """Return the setup of a policy, with the arguments it needs and those given."""
         return self.setup.having(needed(policy) | dict(self.setup.arguments))
 
     def command(self, name: str, more: str = "") -> str:
-        """The command that asks for it."""
+        """Return the command that makes this request."""
         option = "policy" if name == "eval" else "policies"
         return (
             f"servogym {name} {self.setup.name} --{option} {','.join(self.policies)} "
@@ -83,7 +83,7 @@ class Request:
 
 
 def quoted(name: str, value: Any) -> str:
-    """``NAME=VALUE`` as typed in a shell: a text as it is, anything else in JSON."""
+    """Return ``NAME=VALUE`` for a shell, with a text as it is and anything else in JSON."""
     return shlex.quote(f"{name}={value if isinstance(value, str) else json.dumps(value)}")
 
 
@@ -177,7 +177,7 @@ class BackgroundSummary:
         self.picture: bytes | None = None
 
     def __call__(self, k: int, result: Result) -> None:
-        """The k-th job of the comparison is done."""
+        """Take the result of the k-th job of the comparison."""
         self._found[k] = result
         if self.picture is None and (traces := self._comparison.traces(self._found)) is not None:
             self.picture = self._draw(traces) if traces else b""  # a bound is never played
@@ -189,7 +189,7 @@ def evaluate(
     env: str | type[ServoEnv], policies: Sequence[Any], drive: str, episodes: int, seed: int,
     arguments: Mapping[str, Any] | None = None, traced: int = 0, work: Work = ALONE,
 ) -> list[Evaluation]:
-    """Each policy on the fixed episodes of a task, given by its id or class.
+    """Evaluate each policy on the fixed episodes of a task, given by its id or class.
 
     Further arguments are those of `Setup` and `Request`; `work` runs the jobs.
     """

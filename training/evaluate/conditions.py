@@ -27,16 +27,16 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 class Condition(NamedTuple):
     """A row of the table."""
 
-    axis: str  # of disturbance
-    value: float | str  # on it
-    randomise: Mapping[str, Any] = NONE  # instead of what the task draws: a value or a range
-    beyond: Mapping[str, float] = NONE  # the same, in shares of the upper end of its range
+    axis: str  # kind of disturbance
+    value: float | str  # its value
+    randomise: Mapping[str, Any] = NONE  # values or ranges that replace those of the task
+    beyond: Mapping[str, float] = NONE  # values in shares of the upper end of the task's range
     arguments: Mapping[str, str] = MappingProxyType({})  # of the environment
     drive: str = ""
 
     @property
     def name(self) -> str:
-        """``"delay=3"``, ``"generic rigid: delay 1"``."""
+        """Return the name, such as ``"delay=3"`` or ``"generic rigid: delay 1"``."""
         between = ": " if self.drive and self.arguments else "="
         return f"{self.axis}{between}{self.value}" if self.value != "" else self.axis
 
@@ -52,7 +52,7 @@ CONDITIONS = (
     *(Condition("drive", name, drive=name) for name in model_names()),
     *(Condition("mechanics", name, arguments={"parameters": name}) for name in FAMILY),
 )
-DISTURBANCES: dict[str, Mapping[str, float]] = {  # of the transfer
+DISTURBANCES: dict[str, Mapping[str, float]] = {  # of the table `TRANSFER`
     "": NONE, "delay 1": {"delay": 1.0}, "noise 5 µm": {"encoder_noise": 5e-6},
 }
 TRANSFER = tuple(
@@ -67,7 +67,7 @@ TABLES = {"all": CONDITIONS, "transfer": TRANSFER}
 
 
 def suiting(setup: Setup, table: Sequence[Condition] = CONDITIONS) -> Iterator[Condition]:
-    """The rows that apply to a task and differ from its nominal condition."""
+    """Return the rows that apply to a task and differ from its nominal condition."""
     env, kind = setup.make(), setup.task
     ranges, own = env.randomisation.ranges, inspect.signature(kind.__init__).parameters
     nominal = env.datasheet
@@ -105,7 +105,7 @@ def chosen(rows: Sequence[Condition], names: str) -> list[Condition]:
 
 
 def applied(setup: Setup, row: Condition) -> Setup:
-    """The setup in a condition."""
+    """Return the setup in a condition."""
     drawn = {**setup.ranges, **row.randomise}
     drawn |= {name: share * setup.ranges[name][1] for name, share in row.beyond.items()}
     plain = {name: value for name, value in setup.arguments.items() if name != "randomise"}

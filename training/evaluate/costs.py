@@ -1,4 +1,4 @@
-"""`servogym results --costs`: every committed result, the command that makes it, and what it takes.
+"""`servogym results --costs`: every committed result with its command and the cost of it.
 
 Results name their commands themselves, so nothing is listed twice: the pages in docs/results, the
 comparisons, the numbers of the tuner and the trainings. The entries of a suite are not listed,
@@ -25,7 +25,7 @@ from ..report import markdown, number, origin, write_json, write_text
 from . import repeat
 
 PAGE = Path("docs", "results", "repeat.md")
-OWN = re.compile(  # the command of a page, the last one on it
+OWN = re.compile(  # commands of a page, of which the last one writes it
     r"^```sh\n((?:servogym|python) [^\n#]*[^\n# ])[^\n]*\n```$"  # alone in its block
     r"|^(python [^\n#]* docs/results/\w+\.md)$"  # one of several, which names the page
     r"|`(servogym [^`]+)`, which wrote this page", re.M,
@@ -49,7 +49,7 @@ class Result(NamedTuple):
     """A committed result."""
 
     file: str  # relative to the checkout
-    command: str  # that makes it; empty for a page that is written by hand
+    command: str  # the command that writes it; empty for a page that is written by hand
 
 
 def results(root: Path) -> list[Result]:
@@ -65,7 +65,7 @@ def results(root: Path) -> list[Result]:
             text = path.read_text(encoding="utf-8")
             commands = ["".join(groups) for groups in OWN.findall(text)]
             commands += [AGAIN + file for file in TESTED.findall(text)]
-            data = path.with_suffix(".json")  # beside a page that has words of its own
+            data = path.with_suffix(".json")  # the page beside it also has text written by hand
             source = data if data.is_file() else path
             found.append((source, commands[-1] if commands else ""))
     policies = root / "assets" / "policies"
@@ -98,7 +98,7 @@ def run(root: Path, pattern: str, console: Console) -> int:
     for command in chosen:
         console.print(command, soft_wrap=True, highlight=False)
         took = _measured(command, _place(root, command))
-        known = foreign.table(kept) if kept.is_file() else {}  # others may measure beside this
+        known = foreign.table(kept) if kept.is_file() else {}  # another process may have measured
         known[command] = took
         write_json(kept, dict(sorted(known.items())))
     known = {command: known[command] for command in sorted(commands) if command in known}
@@ -114,12 +114,12 @@ def run(root: Path, pattern: str, console: Console) -> int:
 
 
 def _place(root: Path, command: str) -> Path:
-    """The folder in which a command is repeated."""
+    """Return the folder in which a command is repeated."""
     return root / "out" / "repeat" / re.sub(r"[^\w]+", "_", command)[-80:]
 
 
 def _measured(command: str, out: Path) -> dict[str, Any]:
-    """Run a command in a folder -> what it took. Raises ValueError if it fails."""
+    """Run a command in a folder -> its cost. Raises ValueError if it fails."""
     out.mkdir(parents=True, exist_ok=True)
     for name in ("assets", "docs"):  # for commands that read committed files
         if not (out / name).is_symlink():
@@ -140,7 +140,7 @@ def _measured(command: str, out: Path) -> dict[str, Any]:
 
 
 def _same(committed: Path, out: Path) -> bool:
-    """Whether a command wrote a file once more; of a JSON file it may be a part."""
+    """Whether a command wrote a committed file again; a part is enough for a JSON file."""
     if committed.suffix == ".json":
         whole = json.loads(committed.read_bytes())
         made = (json.loads(path.read_bytes()) for path in (out / "out").rglob("*.json"))
@@ -176,7 +176,7 @@ def in_rows(root: Path, one: Result) -> float:
 
 
 def page(root: Path, every: list[Result], known: Mapping[str, Any]) -> str:
-    """The table of all results, with the sum."""
+    """Return the page: the table of all results with the sum."""
     rows, commands = [], set()
     for one in every:
         own = known.get(one.command)

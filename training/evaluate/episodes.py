@@ -40,13 +40,13 @@ class Evaluation:
     policy: str
     seeds: list[int]
     values: dict[str, np.ndarray]
-    faults: list[str]  # code and meaning, empty without one
-    trace: Recording | None  # of one of the episodes; of several trainings the first
-    trainings: int = 1  # of the same policy from as many seeds, each evaluated on all episodes
-    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)  # what values can be
+    faults: list[str]  # code and meaning; empty without a fault
+    trace: Recording | None  # of one episode, under the first training if there are several
+    trainings: int = 1  # of the policy from different seeds, each evaluated on all episodes
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)  # known metrics
 
     def by_training(self, metric: str) -> np.ndarray | None:
-        """Values of a metric, shape ``(trainings, episodes)``; None where it does not apply."""
+        """Return the values of a metric, ``(trainings, episodes)``; None if it does not apply."""
         values = self.values.get(metric)
         if values is None or not np.isfinite(values).any():
             return None
@@ -54,7 +54,7 @@ class Evaluation:
 
 
 def pooled(policy: str, results: Sequence[Evaluation]) -> Evaluation:
-    """The evaluations of several trainings as one, all on the same episodes."""
+    """Return the evaluations of several trainings on the same episodes as one."""
     trace = results[0].trace
     return Evaluation(
         policy,
@@ -120,7 +120,7 @@ class Evaluator:
         self.env = self.vector.envs[0]
         self._actions = math.prod(self.env.action_space.shape or ())
         self.steps = self.vector.max_episode_steps
-        self.played = 0  # steps of all episodes of the policy that was run last
+        self.played = 0  # steps of all episodes in the last run
         self.duration = self.steps * self.env.step_time
         for each in self.vector.envs:
             each.machine.probe()
@@ -132,7 +132,7 @@ class Evaluator:
         self.vector.close()
 
     def run(self, policy: Any) -> Evaluation:
-        """Play all episodes under the policy of that name, or under each of its trainings.
+        """Play all episodes under a policy, or under each of its trainings.
 
         Raises ValueError if the policy does not fit.
         """
@@ -141,7 +141,7 @@ class Evaluator:
         return self._run(policy)
 
     def first_step(self) -> None:
-        """Call everything that has to be compiled once."""
+        """Call everything once that has to be compiled."""
         self._reset()
         self.vector.step(np.zeros((len(self.seeds), self._actions), np.float32))
         for env in self.vector.envs:
@@ -201,14 +201,14 @@ class Evaluator:
         trace = None
         if recorder and traced is not None:
             done = float(values["settling_time"][traced])
-            if math.isnan(done) and success[traced]:  # there is nothing to settle at
+            if math.isnan(done) and success[traced]:  # the task has no settling time
                 done = float(settled[traced])
             done = done if done < self.duration else math.nan
             trace = recorder.trace(label(policy), done, faults[traced])
         return Evaluation(label(policy), self.seeds, values, faults, trace, metrics=self.metrics)
 
     def _reset(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin all episodes, and the measurement of each."""
+        """Begin all episodes and their measurements."""
         seeds: list[int | None] = list(self.seeds)
         observations, infos = self.vector.reset(seed=seeds)
         for i, options in enumerate(self._options):
@@ -268,7 +268,7 @@ class Evaluator:
         return Evaluation(policy, self.seeds, values, faults, trace, metrics=self.metrics)
 
     def _bound(self, policy: str) -> Evaluation:
-        """What is possible in the same episodes; nothing is played."""
+        """Return the bound of the same episodes; nothing is played."""
         values = self._empty()
         for i, env in enumerate(self.vector.envs):
             for metric, value in Bound(env).values().items():

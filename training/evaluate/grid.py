@@ -22,11 +22,11 @@ FoundOut = TypeVar("FoundOut", covariant=True)
 
 
 class Cell(Protocol[FoundOut]):
-    """A cell of a grid: jobs, and the result that they make up together."""
+    """A cell of a grid: its jobs, and the result that they give together."""
 
     @property
     def jobs(self) -> Sequence[Job]:
-        """The jobs, in the order in which `results` takes their results."""
+        """Return the jobs in the order in which `results` takes their results."""
 
     def results(self, found: Sequence[Result]) -> FoundOut:
         """Combine the results of the jobs into the result of the cell."""
@@ -53,11 +53,11 @@ class Grid(Generic[Key, Found]):
 
     @property
     def jobs(self) -> list[Job]:
-        """The jobs of all cells."""
+        """Return the jobs of all cells."""
         return [job for cell in self.cells.values() for job in cell.jobs]
 
     def results(self, found: Sequence[Result]) -> dict[Key, Found]:
-        """The result of each cell."""
+        """Return the result of each cell."""
         left = iter(found)
         return {
             key: cell.results([next(left) for _ in cell.jobs]) for key, cell in self.cells.items()

@@ -26,8 +26,8 @@ from .episodes import Evaluation
 from .metrics import metrics, summarise
 
 BOUND = "bound"
-STEPS = (0.2, 0.4, 0.6, 0.8, 0.9)  # of what is possible, in the profile
-ROUGHER = 1.3  # times the jerk of the reference of the task
+STEPS = (0.2, 0.4, 0.6, 0.8, 0.9)  # shares of what is possible, in the performance profile
+ROUGHER = 1.3  # times the jerk of the task's reference, the limit of a row
 HEADING = (
     "row", "of", "metric", "of what is possible", "of the best played", "success",
     "rms jerk (m/s³)", "rms torque / rated", "keeps the limits",
@@ -43,7 +43,7 @@ reference of the task; a following error beyond its window ends in a fault."""
 
 
 class Row(NamedTuple):
-    """A policy of a task."""
+    """A row of a task's table."""
 
     name: str
     found: Evaluation
@@ -109,7 +109,7 @@ def _mean_share(values: np.ndarray, limit: np.ndarray, metric: Metric) -> str:
 
 
 def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, list[Row]]:
-    """The table of a task, best first, and its rows."""
+    """Return the section of a task and its rows, the best first."""
     name, known = env.METRIC, metrics(env)
     metric = known[name]
     limit = found[BOUND].by_training(name) if BOUND in found else None
@@ -157,7 +157,7 @@ def section(env: type[ServoEnv], found: Mapping[str, Evaluation]) -> tuple[str, 
 
 
 def across(shares: Mapping[str, Sequence[Row]]) -> str:
-    """Performance profiles over the tasks, and the probability that `learned` improves."""
+    """Return performance profiles over the tasks, and the probability that `learned` improves."""
     groups: dict[str, list[np.ndarray]] = {"best row": [], LEARNED: [], "best told": []}
     improvement = []
     for rows in shares.values():
@@ -193,7 +193,7 @@ def across(shares: Mapping[str, Sequence[Row]]) -> str:
 
 
 def gained(tasks: Sequence[str]) -> str:
-    """What the tuner gained in some tasks, from the file that it wrote."""
+    """Return the table of what the tuner gained in some tasks, from the file that it wrote."""
     heading = ("row", "task", "metric", "untuned", "tuned", "steps", "chosen by hand")
     lines = [
         [f"`{policy}`", task, one["metric"], number(one["untuned"]), number(one["tuned"]),

@@ -38,13 +38,13 @@ QUICK_FAMILY = ("rigid", "ball_screw")
 ON_A_STOP = (-1, -2, -17, -18)
 STOP_SPEED = 50_000  # µm/s, all the way to a stop
 TIMEOUT = 20.0  # s
-LONGEST = 120.0  # s of the axis's time, of a user's method
-STRIDE = 40  # position cycles between two looks: the time is known to 20 ms
+LONGEST = 120.0  # s of simulated time for a user's method
+STRIDE = 40  # position cycles between two checks, so that times are known to 20 ms
 SEED = 1  # of starts and switches
 RESAMPLED, CONFIDENCE = 1000, 0.95
 BESIDE = 23  # the method that is repeated at other speeds, switches, loads and inclinations
-BESIDE_ON = ("rigid", "toothed_belt", "ball_screw")  # of the axes, where none are named
-AXES = {  # what is changed of the axis, and of the objects (µm/s)
+BESIDE_ON = ("rigid", "toothed_belt", "ball_screw")  # the axes for it, if none are named
+AXES = {  # changed parameters of the axis, and objects (µm/s)
     "as delivered": ({}, {}),
     "approach 20 mm/s": ({}, {"speed_during_search_for_zero": 20_000}),
     "approach 50 mm/s": ({}, {"speed_during_search_for_zero": 50_000}),
@@ -71,7 +71,7 @@ class Searches:
         ]
 
     def results(self, found: Sequence[Result]) -> list[Row]:
-        """A row a run."""
+        """Return one row per run."""
         return [row for result in found for row in result["rows"]]
 
 
@@ -79,7 +79,7 @@ def searches(
     drive: str, mechanics: str, method: int | str, variant: str, starts: Sequence[float],
     seeds: Sequence[int], payload: float | None, parameter_file: str | None,
 ) -> Result:
-    """The job: one method on one axis, from every start."""
+    """Run one method on one axis from every start, as a job."""
     own, objects = AXES[variant]
     values: dict[str, Any] = {**own, **({} if payload is None else {"payload": payload})}
     machine = linear_axis(
@@ -99,7 +99,7 @@ def cells(
     drive: str, quick: bool, methods: Sequence[int | str] = (), mechanics: Sequence[str] = (),
     payload: float | None = None, parameter_file: Path | None = None, runs: int | None = None,
 ) -> Grid[Key, list[Row]]:
-    """One for each axis, method and variant. Raises ValueError for a drive without searches."""
+    """Return a cell for each axis, method and variant. Raises ValueError without searches."""
     model = load(drive)
     known = [method for method in model.homing_methods if method not in HERE]
     if not known:
@@ -244,18 +244,18 @@ def _of(rows: list[Row], name: str) -> np.ndarray:
 
 
 def repeatability(errors: np.ndarray) -> float:
-    """R of ISO 230-2 in one direction: four standard deviations; nan for fewer than two."""
+    """Return R of ISO 230-2 in one direction: four standard deviations; nan below two runs."""
     return float(4.0 * errors.std(ddof=1)) if len(errors) > 1 else np.nan
 
 
 def one_sided(one: np.ndarray, other: np.ndarray) -> float:
-    """R of ISO 230-2 of both sides of a switch: the larger one."""
+    """Return R of ISO 230-2 of both sides of a switch: the larger one."""
     found = [repeatability(each) for each in (one, other)]
     return float(np.nanmax(found)) if np.isfinite(found).any() else np.nan
 
 
 def two_sided(one: np.ndarray, other: np.ndarray) -> float:
-    """A of ISO 230-2: from the lowest mean minus 2 s to the highest mean plus 2 s, of both."""
+    """Return A of ISO 230-2: lowest mean minus 2 s to highest mean plus 2 s, of both sides."""
     ends = []
     for errors in (one, other):
         if len(errors) > 1:
@@ -278,7 +278,7 @@ def interval(of: Callable[..., float], *samples: np.ndarray) -> tuple[float, flo
 
 
 def sides(rows: list[Row], edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (µm) of the runs from the left and from the right of the home switch."""
+    """Return the errors (µm) of the runs from the left and from the right of the switch."""
     left = [row for row in rows if row["start_m"] < edge]
     right = [row for row in rows if row["start_m"] >= edge]
     return _of(left, "error_um"), _of(right, "error_um")
@@ -321,7 +321,7 @@ def sentences(cells: Sequence[Row]) -> list[str]:
 
 
 def _between(cell: Row) -> str:
-    """The interval of A in words; empty with too few runs for one."""
+    """Return the interval of A in words; empty if there are too few runs."""
     if not np.isfinite(cell["A_low"]):
         return ""
     return f" ({number(cell['A_low'])} to {number(cell['A_high'])})"
@@ -348,7 +348,7 @@ def figures(key: Key, runs: list[Row]) -> Row:
 
 
 def histogram(turns: np.ndarray) -> str:
-    """How often the index pulse came in each fifth of a turn from the edge; - without an index."""
+    """Return how often the index came in each fifth of a turn from the edge; - without one."""
     if not len(turns):
         return "-"
     return " ".join(map(str, np.histogram(np.mod(turns, 1.0), 5, (0.0, 1.0))[0]))

@@ -32,12 +32,12 @@ from .submission import ENDING, Submission, Table, fits, of_task, packed, read, 
 from .suite import Suite
 
 RETURN, SUCCESS = "episode_return", "success"
-DECIDING = ("servogym", "mujoco")  # versions that make another environment of the same id
+DECIDING = ("servogym", "mujoco")  # other versions make another environment of the same id
 GAP = "gap"
 
 
 class Cell(NamedTuple):
-    """Result of an entry in a condition; a gap if it has no values."""
+    """The result of an entry in a condition; a gap if it has no values."""
 
     earned: Summary | None
     metric: Summary | None
@@ -295,7 +295,7 @@ def _same(
 
 
 def page(suite: Suite, entries: Mapping[str, Submission], command: str) -> str:
-    """The leaderboard that a command writes."""
+    """Return the leaderboard that a command writes."""
     conditions = len(dict.fromkeys(row.name for p in suite.parts.values() for row in p.rows))
     whose = "drawn for each entry from its hash" if suite.seed is None else "the same for all"
     whose += f", drawn from the public text `{suite.public}`" if suite.public else ""
@@ -339,7 +339,7 @@ def _lines(
     suite: Suite, env: str, tables: Mapping[str, Mapping[str, Any]],
     entries: Mapping[str, Submission] | None = None,
 ) -> str:
-    """The table of a task, best first."""
+    """Return the table of a task, the best entry first."""
     names, kind = [row.name for row in suite.parts[env].rows], suite.parts[env].setup.task
     cells = {
         entry: [cell(kind, conditions.get(name, {})) for name in names]

@@ -19,7 +19,7 @@ from ...envs.view.about import Metric, in_unit
 RESAMPLES = 2000
 CONFIDENCE = 0.95
 BOOTSTRAP_SEED = 1
-TAIL = 0.05  # share of the episodes: the worst, which are reported separately
+TAIL = 0.05  # share of the worst episodes, which are reported separately
 
 
 METRICS: dict[str, Metric] = {
@@ -56,7 +56,7 @@ METRICS: dict[str, Metric] = {
 
 
 def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
-    """The common metrics and those of a task. Raises ValueError for an unknown METRIC."""
+    """Return the common metrics and those of a task. Raises ValueError for an unknown METRIC."""
     known = {**METRICS, **task.METRICS}
     if task.METRIC not in known:
         remark = hint(str(task.METRIC), known)
@@ -67,14 +67,14 @@ def metrics(task: type[ServoEnv]) -> dict[str, Metric]:
 
 
 def iqm(values: np.ndarray) -> np.ndarray:
-    """Mean of the middle half along the last axis; a quarter is left out at each end.
+    """Return the mean of the middle half along the last axis, without a quarter at each end.
 
     NaNs do not count; without any number the result is NaN.
     """
     values = np.sort(values, axis=-1)  # NaNs come last
     n = np.isfinite(values).sum(axis=-1, keepdims=True)
     if n.size and n.min() == n.max():
-        n = n[(slice(1),) * n.ndim]  # the same weights for all
+        n = n[(slice(1),) * n.ndim]  # all rows have the same weights
     rank = np.arange(1, values.shape[-1] + 1)
     weights = np.clip(np.minimum(rank, n + 1 - rank) - n / 4, 0.0, 1.0)
     total = np.where(weights > 0.0, values * weights, 0.0).sum(axis=-1)
@@ -82,7 +82,7 @@ def iqm(values: np.ndarray) -> np.ndarray:
 
 
 def mean(values: np.ndarray) -> np.ndarray:
-    """Mean along the last axis, without NaNs."""
+    """Return the mean along the last axis, without NaNs."""
     finite = np.isfinite(values)
     return _ratio(np.where(finite, values, 0.0).sum(axis=-1), finite.sum(axis=-1))
 
@@ -96,9 +96,9 @@ class Summary(NamedTuple):
 
     mean: float
     iqm: float  # interquartile mean
-    low: float  # of the 95 % interval of the interquartile mean, of shares of the mean
+    low: float  # of the 95 % interval of the interquartile mean; for a share, of the mean
     high: float
-    worst_training: float = math.nan  # the same of the worst training
+    worst_training: float = math.nan  # interquartile mean of the worst training
     tail: float = math.nan  # mean of the worst 5 % of the episodes
 
 
@@ -161,11 +161,11 @@ class Paired(NamedTuple):
     """How one policy compares with another, episode by episode."""
 
     iqm: float  # interquartile mean of the paired differences, the first less the second
-    low: float  # of its 95 % interval
+    low: float  # lower end of its 95 % interval
     high: float
     improved: float  # share of the pairs in which the first is better
-    probability: float  # that it is better in an episode of its own; ties count half
-    needed: float  # episodes to see a difference of `SEEN` of the second; inf: more trainings
+    probability: float  # that the first is better in unpaired episodes; ties count half
+    needed: float  # episodes to detect a difference of `SEEN`; inf: more trainings are needed
 
 
 SEEN, POWER = 0.10, 0.80
@@ -173,7 +173,7 @@ Z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
 
 
 def paired(one: np.ndarray, other: np.ndarray, better: str) -> Paired:
-    """The interquartile mean of the differences, which is not the difference of those means.
+    """Return the interquartile mean of the differences, not the difference of those means.
 
     The difference of two interquartile means compares the middle halves of two distributions, each
     of which may leave out different episodes. The interquartile mean of the differences leaves out
@@ -218,7 +218,7 @@ def _estimates(values: np.ndarray, stream: int | None, share: bool) -> np.ndarra
     need the same ones.
     """
     trainings, episodes = values.shape
-    stream = stream if trainings > 1 else 0  # there is only one
+    stream = stream if trainings > 1 else 0  # one training has one stream
     return _kept(np.asarray(values, float).tobytes(), trainings, episodes, stream, share)
 
 
@@ -232,7 +232,7 @@ def _kept(
 
 @lru_cache(maxsize=4)
 def _chosen(trainings: int, episodes: int, stream: int | None) -> np.ndarray:
-    """The resamples, the same for all metrics, shape ``(RESAMPLES, trainings × episodes)``."""
+    """Return the resamples, equal for all metrics, ``(RESAMPLES, trainings × episodes)``."""
     chosen = np.random.default_rng([BOOTSTRAP_SEED, 0])
     of_episodes = chosen.integers(0, episodes, (RESAMPLES, 1, episodes))
     of_trainings = np.arange(trainings)[None, :, None]
@@ -244,13 +244,13 @@ def _chosen(trainings: int, episodes: int, stream: int | None) -> np.ndarray:
 
 def _interval(estimates: np.ndarray) -> tuple[float, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
-    found = estimates[np.isfinite(estimates)]  # a resample may have met no number
+    found = estimates[np.isfinite(estimates)]  # a resample may consist of NaNs
     low, high = np.percentile(found, [tail, 100.0 - tail])
     return float(low), float(high)
 
 
 def _wilson(share: float, n: int) -> tuple[float, float]:
-    """Interval of a share of `n` (Wilson 1927, Probable inference)."""
+    """Return the interval of a share of `n` (Wilson 1927, Probable inference)."""
     centre = (share + Z * Z / (2 * n)) / (1 + Z * Z / n)
     half = Z / (1 + Z * Z / n) * math.sqrt(share * (1 - share) / n + Z * Z / (4 * n * n))
     return max(centre - half, 0.0), min(centre + half, 1.0)

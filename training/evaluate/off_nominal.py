@@ -24,7 +24,7 @@ GAP = "gap"
 
 
 class Entry(NamedTuple):
-    """Result of a policy in a condition; a gap if it has no summary."""
+    """The result of a policy in a condition; a gap if it has no summary."""
 
     summary: Summary | None = None  # of the task's metric
     difference: Difference | None = None  # from the best baseline
@@ -102,7 +102,7 @@ def _write(
     out: Path, request: Request, rows: Sequence[Condition], table: Mapping[str, Sequence[Entry]],
     against: str, source: Mapping[str, Any], gaps: Mapping[tuple[str, Any], str],
 ) -> None:
-    """The page and the data."""
+    """Return the page and the data."""
     setup, metric = request.setup, request.setup.task.METRIC
     heading, better, _ = metrics(setup.task)[metric]
     labels = [label(policy) for policy in request.each]
@@ -143,7 +143,7 @@ def _write(
 
 
 def _ahead(apart: Sequence[Difference | None], better: str) -> str:
-    """How often a policy is better, and in how many conditions if there are gaps."""
+    """Return how often a policy is better, and of how many conditions if there are gaps."""
     known = [found for found in apart if found is not None]
     wins = sum(found.value > 0.0 if better == "high" else found.value < 0.0 for found in known)
     sure = sum(ahead(found, better) for found in known)
@@ -169,7 +169,7 @@ def curves(
     path: Path, title: str, rows: Sequence[Condition],
     table: Mapping[str, Sequence[Entry]], policies: Sequence[str], heading: str,
 ) -> bool:
-    """Draw the metric over each numeric disturbance, a panel each; -> whether there is any."""
+    """Draw the metric over each numeric disturbance in a panel; -> whether there is any."""
     from matplotlib.figure import Figure
 
     axes = [*dict.fromkeys(row.axis for row in rows if not isinstance(row.value, str))]

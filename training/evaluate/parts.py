@@ -1,4 +1,4 @@
-"""Episodes in parts: what one job plays, and the parts put together again."""
+"""Episodes in parts: one job plays each part, and their results are joined again."""
 
 import inspect
 import math
@@ -23,7 +23,7 @@ from .metrics import metrics
 PART = 10  # episodes of a job
 OURS = "servogym."
 
-# what a process made last; the next job or cell often wants the same
+# the latest ones made by this process, because the next job or cell often needs the same
 _last: dict[str, Evaluator] = {}
 _example: dict[str, ServoEnv] = {}
 
@@ -32,7 +32,7 @@ def play(
     setup: Setup, policy: Any, training: int | None, seeds: Sequence[int], traced: int | None,
     options: Sequence[dict[str, Any]] = (),
 ) -> Result:
-    """The job: play some episodes under one policy, or under one of its trainings."""
+    """Play some episodes under one policy, or under one of its trainings, as a job."""
     key = repr((setup, len(seeds), options))
     if key not in _last:
         for evaluator in _last.values():
@@ -127,7 +127,7 @@ class Episodes:
 
 
 def example(setup: Setup) -> ServoEnv:
-    """An environment to look at, not to step; the one made last is kept.
+    """Return an environment to inspect, not to step; the latest one is kept.
 
     Raises ValueError as the task does.
     """
@@ -141,12 +141,12 @@ def example(setup: Setup) -> ServoEnv:
 
 
 def warm(setup: Setup) -> Job:
-    """A small job that needs all that is compiled for an environment."""
+    """Return a small job that needs all code that is compiled for an environment."""
     return Job(f"compiling for {setup.name}", once, {"env": setup.name, "drive": setup.drive})
 
 
 def once(env: str, drive: str) -> Result:
-    """The job: the first step of an episode, of a task by its id.
+    """Take the first step of an episode of a task, by its id, as a job.
 
     A process that has loaded nothing yet is told of it, before the task can be looked up.
     """
@@ -157,7 +157,7 @@ def once(env: str, drive: str) -> Result:
 
 
 def watched(setup: Setup, policy: Any, folders: Sequence[str]) -> tuple[str, ...]:
-    """Files outside of the package that decide what a policy does."""
+    """Return the files outside the package that determine what a policy does."""
     found = [*folders, *(str(Path(f).with_name(STATISTICS)) for f in folders if f.endswith(ZIP))]
     base, _, _ = policy.rpartition(":") if isinstance(policy, str) else ("", "", "")
     if base.endswith(SUFFIX):

@@ -37,7 +37,7 @@ DISTANCES = (0.01, 0.05, 0.2)  # m
 STARTS = (0.15, 0.35)  # m; the move goes to the side that has room
 QUICK_FAMILY, QUICK_PAYLOADS, QUICK_DISTANCES = ("rigid", "toothed_belt"), (5.0,), (0.01,)
 NOMINAL = "nominal"
-CHANGED: dict[str, dict[str, float]] = {  # what the strategy was not told
+CHANGED: dict[str, dict[str, float]] = {  # changes that a strategy does not know
     "friction ×0.5": {"friction": 0.5},
     "friction ×2": {"friction": 2.0},
     "frequency −20 %": {"stiffness": 0.64},
@@ -55,10 +55,10 @@ TROUBLES = {  # in sentences: conditions
 }
 CHANGED_PAYLOAD = 5.0  # kg
 SPRING = "spring_load"  # the axis of the task with a swinging load
-INFORMED = "informed_"  # begins the name of what is no rival
+INFORMED = "informed_"  # prefix of strategies that do not compete
 TOLERANCE = 50e-6  # m
 NEAREST, FARTHEST = 0.001, 0.35  # m, far beyond the tolerance, and within the stroke
-NOTED = 1e-3  # s, of a settling time: less is not worth a sentence
+NOTED = 1e-3  # s, the least difference of a settling time that is worth a sentence
 FIGURES = {  # name in the CSV: metric
     "settling_s": "settling_time",
     "overshoot_um": "overshoot",
@@ -110,7 +110,7 @@ class Moves:
         self.jobs = self._episodes.jobs
 
     def results(self, found: Sequence[Result]) -> list[Row]:
-        """A row a move."""
+        """Return one row per move."""
         values, longest = self._episodes.results(found).values, self._episodes.duration
         mechanics, payload, condition, strategy = self._key
         return [
@@ -136,7 +136,7 @@ def cells(
     payloads: Sequence[float] = (), distances: Sequence[float] = (),
     parameter_file: Path | None = None,
 ) -> Grid[Key, list[Row]]:
-    """One for each axis, strategy and condition. Raises ValueError as the environment does."""
+    """Return a cell for each axis, strategy and condition. Raises ValueError as the task does."""
     file = str(parameter_file) if parameter_file else None
     Setup(POINT_TO_POINT, drive, parameter_file=file).make().close()
     for asked in strategies:
@@ -228,7 +228,7 @@ def sentences(means: Means) -> list[str]:
 
 
 def _rest(duty: float, settling: float) -> float:
-    """How long a motor must stand still after a move (s)."""
+    """Return how long a motor must stand still after a move (s)."""
     return (duty - 1.0) * settling
 
 

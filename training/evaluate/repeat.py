@@ -1,8 +1,8 @@
-"""`servogym results --train`: the trainings behind the committed rows once more, with one command.
+"""`servogym results --train`: repeats the trainings behind the committed rows with one command.
 
-`trainings.json` in the folder of a task has the lines, one a stage, with ``{seed}``, ``{steps}``
-and ``{out}`` left open, and the steps of each seed. Where the checkpoints do not say how many
-CPU-seconds a training took, it has what they can have been, of the time on two cores: inferred.
+`trainings.json` in the folder of a task has one command per stage, with placeholders ``{seed}``,
+``{steps}`` and ``{out}``, and the steps of each seed. If the checkpoints do not state the
+CPU-seconds of a training, the file has an upper bound, inferred from its time on two cores.
 """
 
 import re
@@ -26,7 +26,7 @@ from ..report import markdown
 
 FILE, MAKER = "trainings.json", "the commands of its trainings"
 HEADING = ("task", "trainings", "stages", "steps each", "CPU-s each", "CPU-s")
-CORES = 2  # of the machine for which the sum is told
+CORES = 2  # of the machine for which the sum is stated
 
 
 def folders(folder: Path) -> list[Path]:
@@ -63,7 +63,7 @@ def table_of(path: Path, name: str, maker: str, *, run_code: bool = False) -> di
 
 
 def program_in(command: str) -> str:
-    """The first FILE.py:name or module:task of a command that is not of this package, or ''."""
+    """Return the first FILE.py:name or module:task of another package in a command, or ''."""
     for word in re.split(r"[\s,='\"]+", command):
         module, colon, _ = word.partition(":")
         of_python = all(map(str.isidentifier, module.split("."))) and module not in POLICIES
@@ -81,7 +81,7 @@ class Training(NamedTuple):
     out: Path  # of the last stage
     steps: int  # of all stages
     cpu_seconds: float
-    inferred: bool  # an upper bound, because it was not kept
+    inferred: bool  # whether the time is an upper bound, because it was not recorded
 
 
 def plan(folder: Path, out: Path, *, run_code: bool = False) -> list[Training]:
@@ -142,7 +142,7 @@ def _cpu_seconds(folder: Path, stages: Sequence[int], rate: float | None) -> tup
 
 
 def table(trainings: Sequence[Training]) -> str:
-    """The cost of the trainings, with a row for each task and their sum."""
+    """Return a table of the cost of the trainings, with a row for each task and the sum."""
     rows = []
     for task in dict.fromkeys(training.task for training in trainings):
         own = [training for training in trainings if training.task == task]
@@ -217,7 +217,7 @@ def _train(training: Training, console: Console) -> int:
     """Run the stages in order, each continuing where it was interrupted; -> exit status."""
     for command in training.commands:
         out = Path(command[command.index("--out") + 1])
-        if (out / "checkpoints").is_dir():  # the rest is as it was; `--start` is of a new run
+        if (out / "checkpoints").is_dir():  # continue; `--start` is only for a new run
             steps = command[command.index("--steps") + 1]
             command = ["train", command[1], "--resume", "--steps", steps, "--out", str(out)]
         done = subprocess.run([sys.executable, "-m", "servogym.training.cli", *command])

@@ -26,7 +26,7 @@ from .tables import SHARES, ahead
 from .tuner import BUDGET
 
 FILE, PAGE, HONEST = "compare.json", "README.md", "**Where the baseline is better**"
-PICTURES = {  # as far as they are there
+PICTURES = {  # shown if they exist
     "compare_trace.png": "one episode",
     "compare.png": "comparison",
     "curves.png": "learning curves",
@@ -68,7 +68,7 @@ ATTEMPT = (
     "task", "trained", "trainings × steps at most", "CPU-s", "strongest row", "of pairs", "jerk",
     "missing",
 )
-ENDS, LIMIT, TOLD = ("hold", "random"), "bound", "informed"  # beside the best baseline
+ENDS, LIMIT, TOLD = ("hold", "random"), "bound", "informed"  # columns beside the best baseline
 AGAIN = """## Repeat all trainings
 
 `servogym results --train out/again --workers 2` repeats all of them, and continues where it was
@@ -81,7 +81,7 @@ FOOT = """Written by `servogym results` from the `compare.json` of each folder.
 
 
 def page(folder: Path, at: str = ".", *, run_code: bool = False) -> str:
-    """The page about the policies in `folder`, which has a folder for each task.
+    """Return the page about the policies in `folder`, which has a folder for each task.
 
     `at` is the path to it, relative to the page.
 
@@ -138,7 +138,7 @@ def run(folder: Path | None, out: Path | None, console: Console, *, run_code: bo
 
 
 def _again(folder: Path) -> str:
-    """How to repeat all trainings and what that costs, if every folder says it."""
+    """Return how to repeat all trainings, with the cost, if every folder states it."""
     if not all((path / repeat.FILE).is_file() for path in folders(folder)):
         return ""
     trainings = repeat.plan(folder, Path("out"))
@@ -156,7 +156,7 @@ class _Policy(NamedTuple):
 
 
 def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
-    """The interquartile mean of the paired differences, and the share of episodes improved."""
+    """Return the interquartile mean of paired differences and the share of episodes improved."""
     if own.values is None or baseline.values is None:
         return ["–", "–"]
     found = paired(own.values, baseline.values, better)
@@ -168,7 +168,7 @@ def _pairs(own: _Policy, baseline: _Policy, better: str) -> list[str]:
 def _attempt(
     path: Path, own: _Policy, baseline: _Policy, better: str, metric: str
 ) -> list[str]:
-    """What was trained for a task, what that took, and what it lacks against the strongest row."""
+    """Return what was trained for a task, its cost, and what it lacks against the strongest row."""
     trainings = list(repeat.trainings(path, Path("out")))
     about = read(path / f"seed_{trainings[0].seed}")
     how = "from demonstrations" if about.get("demonstrate") else "from rewards"
@@ -199,7 +199,7 @@ def _values(policy: Mapping[str, Any], metric: str) -> np.ndarray | None:
 def _chosen(
     path: Path, data: Mapping[str, Any], metric: str, known: Mapping[str, Metric]
 ) -> tuple[_Policy, _Policy]:
-    """The learned policy, and the baseline that is best by the metric of the task."""
+    """Return the learned policy and the baseline that is best by the metric of the task."""
     policies = data["policies"]
     if LEARNED not in policies:
         raise ValueError(
@@ -243,7 +243,7 @@ def _row(
 
 
 def _room(data: Mapping[str, Any], baseline: _Policy, metric: str, sign: float) -> list[str]:
-    """The metric of each policy, from doing nothing to the limit; a dash without comparison."""
+    """Return the metric of each policy from doing nothing to the limit; a dash if it is missing."""
     known = {
         name: row["summary"][metric]["iqm"]
         for name, row in data["policies"].items() if metric in row["summary"]

@@ -39,7 +39,7 @@ KEYS = {
     "fitted": Key(str),
 }
 NAME = r"(?a:[\w+-]([\w+. -]{0,58}[\w+-])?)"  # of an entry
-WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # what is shown on a page, and cannot be taken for its markup
+WORDS = r"[^`|<>\[\]\x00-\x1f\x7f]*"  # text that a page shows, which must not contain markup
 PROGRAM = r"[\w.-]+\.py"
 TRAINED = re.compile(rf"([\w.-]+-v\d+)/(seed_\d+)/({re.escape(ABOUT)}|{re.escape(WEIGHTS)})")
 
@@ -60,11 +60,11 @@ class Submission:
     machine: str
     table: Table
     files: Mapping[str, bytes]
-    fitted: str = ""  # SHA-256 of what its baselines read from files, where it was made
+    fitted: str = ""  # SHA-256 of the files that its baselines read when it was made
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the suite and the policy alone.
+        """Return the SHA-256 of the suite and the policy alone.
 
         The policy counts with its weights, its program, or its name and the numbers fitted for it.
         """
@@ -77,12 +77,12 @@ class Submission:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the whole content of the file."""
+        """Return the SHA-256 of the whole content of the file."""
         return foreign.digest([("head", _text(self)), *sorted(self.files.items())])
 
     @property
     def code(self) -> str:
-        """The name of its Python file; empty if it has none."""
+        """Return the name of its Python file, or an empty text."""
         return next((name for name in self.files if name.endswith(SUFFIX)), "")
 
     @cached_property
@@ -107,7 +107,7 @@ class Submission:
 
     @property
     def baselines(self) -> list[str]:
-        """The rows of the laboratory that it plays, itself or below a correction."""
+        """Return the shipped baselines that it plays, itself or below a correction."""
         if not self.files:
             return [self.policy]
         bases = {one.get("residual") for each in self.checkpoints.values() for one in each}
@@ -115,23 +115,23 @@ class Submission:
 
     @property
     def fitted_here(self) -> str:
-        """SHA-256 of what its baselines read from the files of this laboratory; empty: nothing.
+        """Return the SHA-256 of the files its baselines read here; empty if they read none.
 
-        A program may use any of them.
+        A program counts as reading all of them, because it may use any baseline.
         """
         names = POLICIES if self.code else self.baselines
         parts = [(name, found) for name in names if (found := fitted(name))]
         return foreign.digest(parts) if parts else ""
 
     def informed(self, env: str) -> bool:
-        """Whether what plays a task is told what was drawn, itself or below a correction."""
+        """Whether a task is played by an informed policy, itself or below a correction."""
         names = {one.get("residual") for one in self.checkpoints.get(env, ())}
         names |= set() if self.files else {self.policy.partition(":")[0]}
         return any(POLICIES[name].informed for name in names if name in POLICIES)
 
     @property
     def budget(self) -> str:
-        """What its trainings took, as their checkpoints state it; empty without any."""
+        """Return the cost of its trainings, as their checkpoints state it; empty without any."""
         stages = []
         for one in (one for each in self.checkpoints.values() for one in each):
             stage: dict[str, Any] | None = one
@@ -146,7 +146,7 @@ class Submission:
         return f"{steps:,} steps{took}"
 
     def playable(self, env: str, folder: Path) -> str:
-        """The policy for a task, as `policies.make` takes it; its files are written to `folder`."""
+        """Return the policy for a task, as `policies.make` takes it, with its files in `folder`."""
         for name, data in self.files.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -163,7 +163,7 @@ def _text(submission: Submission) -> bytes:
 
 
 def packed(policy: str, tasks: Mapping[str, str]) -> dict[str, bytes]:
-    """The files a policy is made of, by their names in a submission; none of a baseline.
+    """Return the files of a policy by their names in a submission; a baseline has none.
 
     Args:
         policy: name of a baseline, "learned", ``FILE.py:name``, or a folder: of trainings
@@ -243,13 +243,13 @@ def read(path: Path) -> Submission:
 
 
 def sound(path: Path, submission: Submission) -> None:
-    """Raise ValueError where the files of an entry, or the words that a page shows, are refused."""
+    """Raise ValueError if the files of an entry, or the texts that a page shows, are refused."""
     _files(path, submission)
     _words(path, submission)
 
 
 def _words(path: Path, submission: Submission) -> None:
-    """Refuse names and words that a page would show as markup."""
+    """Refuse names and texts that a page would show as markup."""
     shown = {"name": NAME, "command": "servogym benchmark learned " + WORDS, "machine": WORDS}
     for key, pattern in shown.items():
         text = getattr(submission, key)

@@ -23,7 +23,7 @@ from .episodes import LAST_SEED, fixed
 SUITES = Path(str(resources.files("servogym.assets"))) / "suites"
 HELD_OUT = "held_out"
 MANY = LAST_SEED + 1
-OF_SUBMISSION = "of_submission"  # instead of a seed
+OF_SUBMISSION = "of_submission"  # in place of a seed
 KEYS = {
     "version": Key(str, True), "drive": Key(str, True), "seed": Key((int, str), True),
     "episodes": Key(int, True), "conditions": Key(list, True), "tasks": Key(dict, True),
@@ -41,30 +41,30 @@ class Part:
 
 @dataclass(frozen=True)
 class Suite:
-    """Read by `read`."""
+    """A suite, as `read` returns it."""
 
     version: str
-    seed: int | None  # of the episodes; None: each submission has its own, of its hash
+    seed: int | None  # of the episodes; None: each submission has its own, from its hash
     episodes: int  # in each condition
     parts: Mapping[str, Part]  # by task, without the name space
-    file: str  # as a page names it
+    file: str  # its name on a page
     digest: str  # of the file
-    public: str = ""  # text the seed is drawn from, known only after the last entry
+    public: str = ""  # text from which the seed is drawn, known only after the last entry
 
     @property
     def asked(self) -> str:
-        """As ``--suite`` takes it."""
+        """Return the name that ``--suite`` takes."""
         return self.version if self.file == f"assets/suites/{self.version}.toml" else self.file
 
     def drawn(self, identity: str) -> "Suite":
         """Return the suite with the seed of a submission, if it does not have its own.
 
-        Nobody knows this seed before the policy is finished, and anybody can derive it again. Who
-        changes a byte of a finished policy gets another one, so seeds can be tried: `announced`
-        draws seeds that nobody can try.
+        Nobody knows this seed before the policy is finished, and anybody can derive it again. A
+        change of one byte of a finished policy gives another seed, so seeds can be tried;
+        `announced` draws seeds that nobody can try.
 
         Args:
-            identity: of the submission, hexadecimal digits.
+            identity: hash of the submission, in hexadecimal digits.
         """
         return self if self.seed is not None else replace(self, seed=int(identity[:16], 16) % MANY)
 
@@ -72,7 +72,7 @@ class Suite:
         """Return the suite with one seed for all entries, drawn from a public text.
 
         Args:
-            public: what nobody could know before the last entry was handed in.
+            public: a text that nobody could know before the last entry was handed in.
 
         Raises:
             ValueError: the suite has its own seed.
@@ -86,7 +86,7 @@ class Suite:
         return replace(self.drawn(identity), public=public)
 
     def only(self, tasks: Sequence[str], conditions: Sequence[str]) -> "Suite":
-        """A part of the suite; empty lists select all. Raises ValueError for unknown names."""
+        """Return a part of the suite; empty lists select all. Raises ValueError for wrong names."""
         for name in tasks:
             if name not in self.parts:
                 raise ValueError(
@@ -116,11 +116,11 @@ def versions() -> list[str]:
 
 
 def read(name: str, *, run_code: bool = False) -> Suite:
-    """A suite by its version, or from the path of a file of your own.
+    """Read a suite by its version, or from the path of a file of your own.
 
     Raises:
-        ValueError: there is no such suite, or a name in it is unknown; the message suggests others.
-            A task is of another module and nobody consented by `run_code`.
+        ValueError: there is no such suite, a name in it is unknown (the message suggests others),
+            or a task is of another module and `run_code` is False.
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
     if not path.exists():

@@ -28,10 +28,10 @@ from .metrics import metrics
 from .parts import warm
 from .tables import SCORE, column_of, summaries
 
-AT_A_TIME = 8  # trials of a study that are asked for before the first of them is judged
+AT_A_TIME = 8  # trials of a study that run before the first of them is reported
 SAMPLER_SEED = 0
-EVALUATIONS = 8  # of a training, the best of which is kept
-TRAINED, POLICY = "trained", "best"  # folder of the policies in --out; of one in its training
+EVALUATIONS = 8  # of a training; the best policy is kept
+TRAINED, POLICY = "trained", "best"  # folders: of the policies in --out, of one in its training
 FIXED = ("task", "drive", "condition", "seed")
 
 Row = dict[str, Any]
@@ -84,7 +84,7 @@ class Sweep:
             load(drive)
 
     def grid(self) -> Iterator[dict[str, Any]]:
-        """Each combination of the values. Raises ValueError for a range, which needs a study."""
+        """Return all combinations of the values. Raises ValueError for a range of a study."""
         for name, values in self.vary.items():
             if isinstance(values, Range):
                 raise ValueError(f"--vary {name} is a range: give values, or --trials for a study")
@@ -93,7 +93,7 @@ class Sweep:
 
 
 class _Cell(NamedTuple):
-    """A row of the sweep, in which policies play or one is trained."""
+    """A row of the sweep, in which policies play or a policy is trained."""
 
     drive: str  # as asked for; a condition may have another one
     condition: str
@@ -138,7 +138,7 @@ def _cells(sweep: Sweep, values: Mapping[str, Any], left_out: list[str]) -> Iter
 def trained(
     setup: Setup, algorithm: str, settings: Mapping[str, Any], seed: int, steps: int
 ) -> Result:
-    """The job: a training; the files of its best policy, each as an array of bytes."""
+    """Train a policy as a job; return its best files, each as an array of bytes."""
     from tempfile import TemporaryDirectory
 
     from ..learn.train import Training, train
@@ -158,7 +158,7 @@ def measure(
     sweep: Sweep, several: Sequence[Mapping[str, Any]], out: Path, console: Console, work: Work,
     left_out: list[str],
 ) -> tuple[list[list[Row]], list[Job]]:
-    """Rows for each set of values, and the jobs that were done for them."""
+    """Return rows for each set of values, and the jobs that were done for them."""
     cells = [(k, c) for k, values in enumerate(several) for c in _cells(sweep, values, left_out)]
     ready = [warm(s) for s in {(c.setup.name, c.setup.drive): c.setup for _, c in cells}.values()]
     names: dict[str, list[str]] = {cell.name: list(sweep.policies) for _, cell in cells}
@@ -178,7 +178,7 @@ def measure(
             for name, data in files.items():
                 (folder / name).write_bytes(data.tobytes())
             names[cell.name] = [str(folder)]
-        work = replace(work, ray=None)  # nodes elsewhere have no such folders
+        work = replace(work, ray=None)  # other nodes do not have these folders
     grid = Grid[int, list[Evaluation]]()
     for i, (_, cell) in enumerate(cells):
         seed = 0 if sweep.algorithm else cell.seed
@@ -223,7 +223,7 @@ def worth(rows: Sequence[Row]) -> tuple[float, str]:
 def study(
     sweep: Sweep, trials: int, out: Path, console: Console, work: Work, left_out: list[str]
 ) -> tuple[list[Row], list[Job]]:
-    """Rows of the trials of an Optuna study. Raises ImportError where it is not installed."""
+    """Return rows of the trials of an Optuna study. Raises ImportError without Optuna."""
     if not sweep.vary:
         raise ValueError("--trials has nothing to look for: give --vary NAME=LOW..HIGH")
     try:
@@ -265,7 +265,7 @@ def study(
 def run(
     sweep: Sweep, trials: int | None, command: str, out: Path, console: Console, work: Work
 ) -> int:
-    """Go through it, and write sweep.csv, .json and .md to `out`; -> exit status."""
+    """Run the sweep, and write sweep.csv, .json and .md to `out`; -> exit status."""
     left_out: list[str] = []
     if trials is None:
         measured, jobs = measure(sweep, list(sweep.grid()), out, console, work, left_out)

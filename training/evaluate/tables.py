@@ -10,11 +10,11 @@ from .metrics import Difference, Summary, difference, summarise
 
 SCORE = Metric("score", "high", "")
 SHARES = ("success", "limited", "faults")  # reported as means in percent
-IDLE = ("hold", "random")  # would spoil the scales of all but the score
+IDLE = ("hold", "random")  # left out of pictures, whose scales they would spoil
 
 
 def column_of(policy: str) -> str:
-    """The column heading of a policy; for a folder, its name."""
+    """Return the column heading of a policy; for a folder, its name."""
     return Path(policy).name if Path(policy).is_dir() else policy
 
 
@@ -44,7 +44,7 @@ def _base(name: str) -> str:
 def best(
     table: Mapping[str, Sequence[Summary | None]], names: Sequence[str], metric: str, better: str
 ) -> str:
-    """The best baseline by the interquartile mean of a metric; an idle one if there is no other.
+    """Return the best baseline by the interquartile mean of a metric, an idle one as a last resort.
 
     An informed law is not a baseline: it knows what no controller can.
 

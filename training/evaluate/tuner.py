@@ -2,14 +2,14 @@
 
 The budget counts steps of the environment, as for a training. Two thirds of it try the untuned
 numbers and then points that fill the ranges evenly (the additive recurrence R_d, Roberts 2018) on
-`FEW` training episodes; the rest tries the best of them on `MANY` further episodes. The numbers
-with the best interquartile mean of the task's metric there are written, of those that succeed no
-less often than the untuned ones: the mean alone would hide a quarter of failures. No choice is made
-by hand.
-Only steps that were played count: an episode that ends early leaves room for more points.
+`FEW` training episodes. The rest tries the best of them on `MANY` further episodes. Of the numbers
+that succeed there no less often than the untuned ones, those with the best interquartile mean of
+the task's metric are written; the mean alone would hide up to a quarter of failures. No choice is
+made by hand. Only steps that were played count, so episodes that end early leave room for more
+points.
 
-A row of `FITTED` has a way of its own to its numbers, a fit. What it costs is told in the same
-units: steps of the environment, processor time, and the choices that a person made.
+A row of `FITTED` finds its numbers by a fit instead. Its cost is reported in the same units: steps
+of the environment, processor time, and the choices that a person made.
 """
 
 import io
@@ -35,15 +35,15 @@ from .episodes import Evaluator
 from .metrics import iqm, metrics
 
 BUDGET = 300_000  # steps
-FEW, MANY = 16, 48  # episodes, with seeds from 1 on; no evaluation has them
+FEW, MANY = 16, 48  # episodes, with seeds from 1 on, which no evaluation uses
 FITTED = {"basis_feed_forward": basis_feed_forward}
 MOST = 1000  # episodes of a fit
 
 
 def points(ranges: Mapping[str, Any]) -> Iterator[dict[str, float]]:
-    """The untuned numbers, and points that fill the ranges evenly; widths count as ratios."""
+    """Yield the untuned numbers, then points that fill the ranges evenly on logarithmic scales."""
     root = 1.5
-    for _ in range(60):  # of x ** (d + 1) = x + 1
+    for _ in range(60):  # solves x ** (d + 1) = x + 1
         root = (1.0 + root) ** (1.0 / (len(ranges) + 1))
     steps = np.array([root ** -(k + 1) for k in range(len(ranges))])
     yield {name: one.untuned for name, one in ranges.items()}
@@ -56,28 +56,28 @@ def points(ranges: Mapping[str, Any]) -> Iterator[dict[str, float]]:
 
 
 def tunable(policy: str) -> type[Tunable] | None:
-    """The class of a row with numbers; None for another row or name."""
+    """Return the class of a row with numbers; None for another row or name."""
     row = POLICIES.get(policy)
     kind = row.make if row else None
     return kind if isinstance(kind, type) and issubclass(kind, Tunable) else None
 
 
 def offered() -> list[str]:
-    """The rows with numbers."""
+    """Return the rows with numbers."""
     return [name for name in POLICIES if tunable(name)]
 
 
 def tune(kind: type[Tunable], env: type[ServoEnv], budget: int = BUDGET) -> dict[str, Any]:
-    """-> its numbers for a task, the metric with them and untuned, and the steps taken."""
+    """Tune a row for a task -> its numbers, the metric with them and untuned, and the steps."""
     steps, metric = 0, env.METRIC
     sign = -1.0 if metrics(env)[metric].better == "high" else 1.0
 
     def tried(
         candidates: Iterable[dict[str, float]], seeds: range, most: int
     ) -> list[tuple[tuple[float, float], dict[str, float]]]:
-        """Scores, the less the better; two at least, then as many as `most` steps allow.
+        """Return scores, lower is better, of at least two and as many as `most` steps allow.
 
-        The first part of a score is the share of episodes that fail and did not untuned.
+        The first part of a score is the share of episodes that fail more often than untuned.
         """
         nonlocal steps
         evaluator = Evaluator(env, seeds=seeds, traced=None)
@@ -112,7 +112,7 @@ def run(
     policy: str, env: str | None, budget: int | None, episodes: int | None, out: Path | None,
     console: Console,
 ) -> int:
-    """Find the numbers of a row for a task, write them, and say what that took; -> exit status.
+    """Find the numbers of a row for a task, write them, and print the cost; -> exit status.
 
     Raises ValueError for a policy without numbers, or a task that does not offer it.
     """
@@ -135,7 +135,7 @@ def run(
 
 
 def _task(policy: str, env: str | None) -> type[ServoEnv]:
-    """The task by name, or the only one that offers the policy."""
+    """Return the task by name, or the only one that offers the policy."""
     if env is None:
         ids = [name for name in gymnasium.registry if name.startswith(NAMESPACE)]
         offering = [found for found in map(task, ids) if policy in found.POLICIES]
