@@ -17,6 +17,7 @@ which d is held for n velocity cycles; h = (1 + z + ... + z^(n-1)) / n accounts 
 import math
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,6 +62,21 @@ STUCK = (
 QUIET = 0.15  # share of the rated torque; more ripple without an excitation is an oscillation
 
 
+class Excitation(NamedTuple):
+    """The excitation of a measurement, and the travel during it."""
+
+    amplitude: float  # rms, share of the rated torque
+    speed: float | None  # of travel (m/s or rad/s); None: by the profile velocity and the room
+    lowest: float  # Hz
+    highest: float  # Hz
+    seed: int  # of the random phases
+
+    @property
+    def period(self) -> float:
+        """Period (s) of the multisine."""
+        return max(PERIOD, math.ceil(1 / self.lowest))
+
+
 def bode(
     machine: Machine, drive: str | None = None, *, amplitude: float = 0.1,
     speed: float | None = None, lowest: float | None = None, highest: float | None = None,
@@ -102,13 +118,13 @@ def bode(
     gains = gains_of(stand.drive)
     lowest = lowest_of(gains) if lowest is None else lowest
     in_range("lowest", lowest, LOWEST, highest / 2, "Hz")
+    excitation = Excitation(amplitude, speed, lowest, highest, seed)
     try:
         stand.start()
         if speed is not None:
             unit = f"{stand.unit}/s, what motor and room allow"
-            in_range("speed", speed, 1e-6, stand.fastest(_span(lowest) + LEG), unit)
-        note = calm(stand)
-        return measured(stand, gains, note, amplitude, speed, lowest, highest, seed)
+            in_range("speed", speed, 1e-6, stand.fastest(excitation.period + LEG), unit)
+        return measured(stand, gains, calm(stand), excitation)
     finally:
         stand.put_back()
 
@@ -121,11 +137,6 @@ def lowest_of(gains: Gains) -> float:
     return max(min(USUAL, BELOW * rate / (2 * math.pi)), LOWEST) if rate > 0.0 else USUAL
 
 
-def _span(lowest: float) -> float:
-    """Period (s) of the multisine."""
-    return max(PERIOD, math.ceil(1 / lowest))
-
-
 def possible(amplitude: float, seed: int) -> None:
     """Raise ValueError for an amplitude or a seed out of range."""
     in_range("amplitude", amplitude, LEAST_AMPLITUDE, 1.0, "of the rated torque")
@@ -133,8 +144,8 @@ def possible(amplitude: float, seed: int) -> None:
 
 
 def measured(
-    stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
-    lowest: float, highest: float, seed: int, earlier: Response | None = None, small: bool = False,
+    stand: Stand, gains: Gains, note: str, excitation: Excitation,
+    earlier: Response | None = None, small: bool = False,
 ) -> Response:
     """Return the response of a drive that does not oscillate, with a fitted plant and `gains`.
 
@@ -145,11 +156,12 @@ def measured(
     """
 
     def found(against: bool, amplitude: float, before: Response | None) -> Response:
+        own = excitation._replace(amplitude=amplitude)
         tries: list[tuple[float, Response]] = []
         while len(tries) < SOFTER and not (tries and tries[-1][0] <= 1.0):
             if tries:
                 _soften(stand, gains_of(stand.drive), SOFT)
-            once = _measure(stand, gains, note, amplitude, speed, lowest, highest, seed, against)
+            once = _measure(stand, gains, note, own, against)
             tries.append((_doubt(once, gains_of(stand.drive)), once))
         _, response = min(tries, key=lambda one: one[0])
         response = response.with_earlier(before)
@@ -158,10 +170,10 @@ def measured(
             response = replace(response, fitted_load=load)
         return replace(response, fitted=identify(response, stand.drive))
 
-    main, also = found(False, amplitude, earlier), {}
+    main, also = found(False, excitation.amplitude, earlier), {}
     before = dict(earlier.also) if earlier else {}
     if stand.movers[1:]:
-        also[AGAINST] = found(True, amplitude, before.get(AGAINST))
+        also[AGAINST] = found(True, excitation.amplitude, before.get(AGAINST))
     less = SMALL * main.amplitude
     if SMALLER in before:
         also[SMALLER] = before[SMALLER]
@@ -226,47 +238,13 @@ def _oscillates(stand: Stand) -> bool:
 
 
 def _measure(
-    stand: Stand, gains: Gains, note: str, amplitude: float, speed: float | None,
-    lowest: float, highest: float, seed: int, against: bool,
+    stand: Stand, gains: Gains, note: str, excitation: Excitation, against: bool
 ) -> Response:
-    random = np.random.default_rng(seed)
-    span = _span(lowest)
-    count = round(span / stand.period)
-    lines = np.unique(np.rint(np.geomspace(lowest, highest, LINES) * count * stand.period))
-    lines = lines.astype(int)
+    count = round(excitation.period / stand.period)
+    wanted = np.geomspace(excitation.lowest, excitation.highest, LINES)
+    lines = np.unique(np.rint(wanted * count * stand.period)).astype(int)
     frequencies = lines / (count * stand.period)
-    settle = round(SETTLE / stand.period)
-    speed = stand.speed(span + LEG) if speed is None else speed
-    rated = float(stand.drive.axis.rated_torque)
-    blocks: list[np.ndarray] = []
-    begin = stand.machine.snapshot()
-    while len(blocks) < BLOCKS:
-        direction = stand.direction(speed * (span + LEG))
-        waves = [_multisine(random, lines, count, frequencies) * amplitude * rated for _ in "+-"]
-        stand.travel(-direction * speed)
-        stand.settle(speed)
-        runs = []
-        for sign, wave in [*zip("++", waves, strict=True), *zip("--", waves, strict=True)]:
-            stand.travel(direction * speed)
-            stand.settle(speed)
-            wave = wave if sign == "+" else -wave
-            samples = stand.run(np.concatenate([wave[-settle:], wave]), against)[settle:]
-            disturbed = samples[:, [LIMITED, TURNED]].any()
-            if disturbed:
-                stand.refuse_hot()
-            if disturbed and amplitude > LEAST_AMPLITUDE:
-                break
-            if disturbed:
-                note = note or STUCK
-            runs.append(samples)
-            direction = -direction
-        if len(runs) < 4:
-            amplitude = max(amplitude / 2, LEAST_AMPLITUDE)
-            blocks.clear()
-            stand.machine.restore(begin)
-            continue
-        blocks += [(runs[i] - runs[i + 2]) / 2 for i in range(2)]
-    # np.gradient is a central difference
+    excitation, blocks, stuck = _runs(stand, excitation, lines, count, against)
     spectra = [
         [np.fft.rfft(column - column.mean())[lines] for column in (
             run[:, OFFSET], run[:, TORQUE], run[:, VELOCITY], np.gradient(run[:, POSITION]),
@@ -282,23 +260,60 @@ def _measure(
     noise = (abs(velocity - plant * torque) ** 2).sum(axis=0) / (len(blocks) - 1)
     # relative variance of one run; few runs estimate it badly, so neighbours are averaged
     noise = mean_of_neighbours(noise / abs(velocity.mean(axis=0)) ** 2)
+    # np.gradient is a central difference
+    position_plant = moved.sum(axis=0) / (0.5 * (z**cycles - z**-cycles)) / torque.sum(axis=0)
     return Response(
-        drive=stand.name, model=stand.drive.model.name, frequencies=frequencies,
-        plant=plant,
-        position_plant=moved.sum(axis=0) / (0.5 * (z**cycles - z**-cycles)) / torque.sum(axis=0),
-        coherence=1 / (1 + noise),
-        gains=gains, cycle=cycle, cycles=cycles,
+        drive=stand.name, model=stand.drive.model.name, frequencies=frequencies, plant=plant,
+        position_plant=position_plant, coherence=1 / (1 + noise), gains=gains, cycle=cycle,
+        cycles=cycles,
         # the plant includes the filter of an observer
         velocity_filter=float(stand.drive.axis.velocity_filter) or 1.0,
-        amplitude=amplitude, speed=speed,
-        unit=stand.unit, filters=filters_of(stand.drive), note=note,
+        amplitude=excitation.amplitude, speed=excitation.speed or 0.0, unit=stand.unit,
+        filters=filters_of(stand.drive), note=note or (STUCK if stuck else ""),
     )
 
 
+def _runs(
+    stand: Stand, excitation: Excitation, lines: np.ndarray, count: int, against: bool
+) -> tuple[Excitation, list[np.ndarray], bool]:
+    """Run pairs of excitations; -> the actual one, half the differences, whether an axis stuck."""
+    random = np.random.default_rng(excitation.seed)
+    settle, leg = round(SETTLE / stand.period), excitation.period + LEG
+    speed = stand.speed(leg) if excitation.speed is None else excitation.speed
+    amplitude, rated = excitation.amplitude, float(stand.drive.axis.rated_torque)
+    blocks: list[np.ndarray] = []
+    begin, stuck = stand.machine.snapshot(), False
+    while len(blocks) < BLOCKS:
+        direction = stand.direction(speed * leg)
+        waves = [_multisine(random, lines, count, stand.period) * amplitude * rated for _ in "+-"]
+        stand.travel(-direction * speed)
+        stand.settle(speed)
+        runs: list[np.ndarray] = []
+        for wave in (*waves, *(-wave for wave in waves)):
+            stand.travel(direction * speed)
+            stand.settle(speed)
+            samples = stand.run(np.concatenate([wave[-settle:], wave]), against)[settle:]
+            if samples[:, [LIMITED, TURNED]].any():
+                stand.refuse_hot()
+                if amplitude > LEAST_AMPLITUDE:
+                    break
+                stuck = True
+            runs.append(samples)
+            direction = -direction
+        if len(runs) == 4:
+            blocks += [(runs[i] - runs[i + 2]) / 2 for i in range(2)]
+        else:
+            amplitude = max(amplitude / 2, LEAST_AMPLITUDE)
+            blocks.clear()
+            stand.machine.restore(begin)
+    return excitation._replace(amplitude=amplitude, speed=speed), blocks, stuck
+
+
 def _multisine(
-    random: np.random.Generator, lines: np.ndarray, count: int, frequencies: np.ndarray
+    random: np.random.Generator, lines: np.ndarray, count: int, period: float
 ) -> np.ndarray:
     """Return a multisine of random phases, rms 1, with more power at high frequencies."""
+    frequencies = lines / (count * period)
     spectrum = np.zeros(count // 2 + 1, complex)
     phases = np.exp(2j * np.pi * random.random(len(lines)))
     spectrum[lines] = phases * np.sqrt(1 + frequencies / 100)

@@ -13,7 +13,7 @@ from typing import Any
 from ..engine.checks import in_range
 from ..engine.machine import Machine
 from ..plants.loops import gains_of, in_units, measurable, ranges
-from .bode import HIGHEST, calm, lowest_of, measured, possible
+from .bode import HIGHEST, Excitation, calm, lowest_of, measured, possible
 from .fit import Requirements, fit, why_not
 from .needs import scipy
 from .response import Response
@@ -162,30 +162,7 @@ def tune(
         stand.put_back()
         original = in_units(own, gains_of(own)) | {FEED_FORWARD: int(own.axis.od[FEED_FORWARD])}
         had = stand.machine.snapshot()
-        after, objects, ease = before, original, 1.0
-        best: tuple[Response, dict[str, int], Any] | None = None
-        for _ in range(TRIES):
-            gains = fit(after, asked, ease, measurable(ranges(own)))
-            if gains is None or (best and best[0].gains.stiffness >= WORTH * gains.stiffness):
-                break
-            objects = in_units(own, gains) | {FEED_FORWARD: original[FEED_FORWARD]}
-            inertia = round(after.inertia * 1e9)
-            if abs(inertia - original[FEED_FORWARD]) > NEAR * original[FEED_FORWARD]:
-                objects[FEED_FORWARD] = inertia
-            stand.commission(objects)
-            stand.keep()
-            after, _ = _look(stand, amplitude, seed + 1, ride=False, earlier=after)
-            stand.put_back()
-            if asked.kept(after) and not after.note:
-                best = after, objects, stand.machine.snapshot()
-            elif after.velocity_margins.stable and after.position_margins.stable:
-                # an unstable loop shows that the plant was wrong: it is fitted again, not eased
-                ease *= EASE
-        reached = best is not None
-        if best is not None:
-            after, objects, found = best
-            stand.machine.restore(found)
-            stand.keep()
+        after, objects, reached = _search(stand, asked, before, original, amplitude, seed + 1)
         trial_after = trial(stand, move)
         reason = "" if reached else why_not(after, asked)
         if refusal := _no_better(stand.unit, asked, before, trial_before, after, trial_after):
@@ -206,6 +183,38 @@ def tune(
         )
     finally:
         stand.put_back()
+
+
+def _search(
+    stand: Stand, asked: Requirements, before: Response, original: dict[str, int],
+    amplitude: float, seed: int,
+) -> tuple[Response, dict[str, int], bool]:
+    """Fit gains and measure with them, repeatedly; -> response, objects, whether they suffice."""
+    own, after, objects, ease = stand.drive, before, original, 1.0
+    best: tuple[Response, dict[str, int], bytes] | None = None
+    for _ in range(TRIES):
+        gains = fit(after, asked, ease, measurable(ranges(own)))
+        if gains is None or (best and best[0].gains.stiffness >= WORTH * gains.stiffness):
+            break
+        objects = in_units(own, gains) | {FEED_FORWARD: original[FEED_FORWARD]}
+        inertia = round(after.inertia * 1e9)
+        if abs(inertia - original[FEED_FORWARD]) > NEAR * original[FEED_FORWARD]:
+            objects[FEED_FORWARD] = inertia
+        stand.commission(objects)
+        stand.keep()
+        after, _ = _look(stand, amplitude, seed, ride=False, earlier=after)
+        stand.put_back()
+        if asked.kept(after) and not after.note:
+            best = after, objects, stand.machine.snapshot()
+        elif after.velocity_margins.stable and after.position_margins.stable:
+            # an unstable loop shows that the plant was wrong: it is fitted again, not eased
+            ease *= EASE
+    if best is None:
+        return after, objects, False
+    after, objects, found = best
+    stand.machine.restore(found)
+    stand.keep()
+    return after, objects, True
 
 
 def _no_better(
@@ -244,12 +253,9 @@ def _look(
 ) -> tuple[Response, Any]:
     """Measure the response with the present gains, and with `ride` the friction."""
     gains = gains_of(stand.drive)
+    excitation = Excitation(amplitude, None, lowest_of(gains), HIGHEST / stand.period, seed)
     stand.start()
-    note = calm(stand)
-    response = measured(
-        stand, gains, note, amplitude, None, lowest_of(gains), HIGHEST / stand.period, seed,
-        earlier, small=ride,
-    )
+    response = measured(stand, gains, calm(stand), excitation, earlier, small=ride)
     return response, friction(stand) if ride else None
 
 
