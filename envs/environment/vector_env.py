@@ -148,23 +148,7 @@ class ServoVectorEnv(gym.vector.VectorEnv):
     def _step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        batch = self._batch
-        try:
-            given = self._numbers(actions)
-        except (TypeError, ValueError):
-            raise ValueError(f"actions = {actions!r} are not in {self.action_space}") from None
-        if given.shape != batch.actions.shape:
-            raise ValueError(
-                f"actions of shape {tuple(given.shape)} are not in {self.action_space}: give a row "
-                "for each environment"
-            )
-        outside = ~(abs(given) <= 1.0 + 1e-6)
-        if outside.any():
-            place = [int(at[0]) for at in outside.nonzero()]
-            raise ValueError(
-                f"actions{place} = {float(given[tuple(place)]):g} is not in -1..1: clip them, and "
-                "see that the policy's output is finite"
-            )
+        batch, given = self._batch, self._checked(actions)
         if (self._steps < 0).any():
             raise gym.error.ResetNeeded("call reset() before the first step")
         resting = self._ended.copy()  # these are reset now, or wait for their reset
@@ -198,6 +182,26 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         self._restart(np.flatnonzero(anew).tolist())
         infos |= self._infos()
         return self._observed(), rewards, terminations, truncations, infos
+
+    def _checked(self, actions: Any) -> Any:
+        """The numbers of actions. Raises ValueError if they are outside the action space."""
+        try:
+            given = self._numbers(actions)
+        except (TypeError, ValueError):
+            raise ValueError(f"actions = {actions!r} are not in {self.action_space}") from None
+        if given.shape != self._batch.actions.shape:
+            raise ValueError(
+                f"actions of shape {tuple(given.shape)} are not in {self.action_space}: give a row "
+                "for each environment"
+            )
+        outside = ~(abs(given) <= 1.0 + 1e-6)
+        if outside.any():
+            place = [int(at[0]) for at in outside.nonzero()]
+            raise ValueError(
+                f"actions{place} = {float(given[tuple(place)]):g} is not in -1..1: clip them, and "
+                "see that the policy's output is finite"
+            )
+        return given
 
     def _numbers(self, actions: Any) -> Any:
         """Convert actions to an array. Raises TypeError or ValueError if they are not numbers."""

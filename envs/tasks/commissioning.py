@@ -70,21 +70,20 @@ def judge(episode, rpdos, tpdos, observation):
     observation.fault_class = (int(tpdo.error_code) >> 12 & 0xF) / 15.0 if faulty else 0.0
     observation.milestones = episode.milestones / MILESTONES
     enabled = word & STATE == OPERATION_ENABLED
-    referenced = word & ATTAINED and word & REACHED and not word & HOMING_ERROR
+    referenced = word & (ATTAINED | REACHED | HOMING_ERROR) == ATTAINED | REACHED
     travelling = enabled and mode == PROFILE_POSITION
     near = abs(distance) <= episode._tolerance and abs(velocity) <= MOVING
+    milestones = (
+        not faulty,
+        enabled,
+        enabled and mode == HOMING and referenced,
+        travelling and abs(velocity) > MOVING,
+        travelling and word & REACHED != 0 and near,
+    )
     before = episode.milestones
     reached = before
-    if reached == 0 and not faulty:
-        reached = 1
-    if reached == 1 and enabled:
-        reached = 2
-    if reached == 2 and enabled and mode == HOMING and referenced:
-        reached = 3
-    if reached == 3 and travelling and abs(velocity) > MOVING:
-        reached = 4
-    if reached == 4 and travelling and word & REACHED and near:
-        reached = 5
+    while reached < MILESTONES and milestones[reached]:
+        reached += 1
     episode.milestones = reached
     episode.reward_fault_cleared = 1.0 if before < 1 <= reached else 0.0
     episode.reward_operation_enabled = 1.0 if before < 2 <= reached else 0.0
