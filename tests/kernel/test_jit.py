@@ -183,7 +183,7 @@ import gymnasium, mujoco, numba
 sys.pycache_prefix = os.environ.get("EMPTY")
 from servogym.drive.kernel.reach import reach
 for module, name in (
-    ("servogym.envs.engine.loop", "settle"),
+    ("servogym.envs.engine.job", "settle"),
     ("servogym.drive.kernel.cycle", "run"),
     ("plant.main", "run"),
 ):
