@@ -80,12 +80,12 @@ def _line(
 def _unwrapped(loop: np.ndarray) -> np.ndarray:
     """Phase (degree), between -270 and 90 at the highest frequency with a gain above 1."""
     degrees = np.full(len(loop), np.nan)
-    seen = np.isfinite(loop)
-    if seen.any():
-        turned = np.degrees(np.unwrap(np.angle(loop[seen])))
-        above = np.flatnonzero(abs(loop[seen]) >= 1)
+    measured = np.isfinite(loop)
+    if measured.any():
+        turned = np.degrees(np.unwrap(np.angle(loop[measured])))
+        above = np.flatnonzero(abs(loop[measured]) >= 1)
         at = turned[above[-1] if len(above) else 0]
-        degrees[seen] = turned - 360 * np.ceil((at - 90) / 360)
+        degrees[measured] = turned - 360 * np.ceil((at - 90) / 360)
     return degrees
 
 
@@ -95,13 +95,13 @@ def _mark(
 ) -> None:
     """Draw the margins at their frequencies, if these were measured."""
     low, high = frequencies[0], frequencies[-1]
-    seen = np.isfinite(degrees)
+    measured = np.isfinite(degrees)
     if low <= found.crossover <= high:
-        at = float(np.interp(found.crossover, frequencies[seen], degrees[seen]))
+        at = float(np.interp(found.crossover, frequencies[measured], degrees[measured]))
         phase.plot([found.crossover] * 2, [-180, at], color=colour, lw=3, alpha=0.6)
     if low <= found.phase_crossover <= high:
-        level = 20 * np.log10(abs(loop[seen]))
-        at = float(np.interp(found.phase_crossover, frequencies[seen], level))
+        level = 20 * np.log10(abs(loop[measured]))
+        at = float(np.interp(found.phase_crossover, frequencies[measured], level))
         gain.plot([found.phase_crossover] * 2, [at, 0], color=colour, lw=3, alpha=0.6)
 
 

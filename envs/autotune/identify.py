@@ -111,9 +111,9 @@ def _inertia(frequencies: np.ndarray, measured: np.ndarray) -> float:
 def _candidates(frequencies: np.ndarray, measured: np.ndarray) -> list[list[tuple[float, float]]]:
     """Return pairs of antiresonance and resonance to try: none, the clearest one, two, …"""
     level = 20 * np.log10(abs(measured) * frequencies)
-    peaks, seen = scipy("signal").find_peaks(level, prominence=PROMINENCE)
+    peaks, found_peaks = scipy("signal").find_peaks(level, prominence=PROMINENCE)
     found = []
-    for n, (peak, prominence) in enumerate(zip(peaks, seen["prominences"], strict=True)):
+    for n, (peak, prominence) in enumerate(zip(peaks, found_peaks["prominences"], strict=True)):
         begin = int(peaks[n - 1]) if n else 0
         dip = begin + int(np.argmin(level[begin:peak]))  # the minimum before the peak
         found.append((prominence, float(frequencies[dip]), float(frequencies[peak])))

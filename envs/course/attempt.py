@@ -276,7 +276,7 @@ class Attempt:
         return "You made another position the reference: positions here count from the first one."
 
     def lose(self, why: str) -> None:
-        """End the attempt and say why; an attempt that has already ended stays as it is."""
+        """End the attempt with a reason; an attempt that has already ended does not change."""
         if self.done or self.wrong:
             return
         self.wrong = why

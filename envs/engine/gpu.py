@@ -125,12 +125,14 @@ def of_act(act: Any, drives: int, episode: np.dtype, command: np.dtype, rpdo: np
 
 
 def of_judge(
-    judge: Any, drives: int, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype, seen: np.dtype
+    judge: Any, drives: int, episode: np.dtype, rpdo: np.dtype, tpdo: np.dtype,
+    observation: np.dtype,
 ) -> Kernel:
     """Kernel of ``judge``, see `of_act`: machines, episodes, RPDO and TPDO images, observations."""
-    episodes_at, seen_at = viewer(episode), viewer(seen)
+    episodes_at, observations_at = viewer(episode), viewer(observation)
     rpdos_at, tpdos_at = viewer(rpdo, 2), viewer(tpdo, 2)
-    a, b, c, d = episode.itemsize, rpdo.itemsize * drives, tpdo.itemsize * drives, seen.itemsize
+    a, b = episode.itemsize, rpdo.itemsize * drives
+    c, d = tpdo.itemsize * drives, observation.itemsize
 
     def make(cuda: Any) -> Any:
         def kernel(worlds, episodes, rpdos, tpdos, observations, n):
@@ -139,7 +141,7 @@ def of_judge(
                 judge(
                     integers_at(worlds + 8 * i, 1), episodes_at(episodes + a * i, 1),
                     rpdos_at(rpdos + b * i, 1, drives), tpdos_at(tpdos + c * i, 1, drives),
-                    seen_at(observations + d * i, 1),
+                    observations_at(observations + d * i, 1),
                 )
 
         return kernel
@@ -176,11 +178,12 @@ def of_report(
     a, b = tpdo.itemsize * drives, status.itemsize * drives
 
     def make(cuda: Any) -> Any:
-        def kernel(worlds, tpdos, seen, n):
+        def kernel(worlds, tpdos, statuses, n):
             i = cuda.grid(1)
             if i < n:
                 report(
-                    images_at(tpdos + a * i, 1, drives), modes, status_at(seen + b * i, 1, drives)
+                    images_at(tpdos + a * i, 1, drives), modes,
+                    status_at(statuses + b * i, 1, drives),
                 )
 
         return kernel

@@ -67,17 +67,14 @@ def run(
             and the others have been advanced; or `stopped` returned True.
         ValueError: an index in the couplings or mechanics is invalid.
     """
-    job = guarded.job
-    more = False
+    job, further = guarded.job, False
     with clock:
-        while True:
-            begin = time.perf_counter()
-            more = _piece(job, worlds, ticks, rpdos, tpdos, more)
-            if not more:
-                break
+        begin = time.perf_counter()
+        while _piece(job, worlds, ticks, rpdos, tpdos, further):
             _settle_pace(int(job["paced"][0]), time.perf_counter() - begin)
             if stopped and stopped():
                 raise RuntimeError(INTERRUPTED)
+            further, begin = True, time.perf_counter()
     if job["refused"][0]:
         row = int(np.flatnonzero(worlds == job["refused"][0])[0])
         kind, remedy = REFUSALS[int(job["status"][0])]

@@ -469,5 +469,5 @@ def _has_act_callbacks(model: mujoco.MjModel) -> bool:
     return any(np.any(getattr(model, name) == int(user)) for name, user in USER_LAWS)
 
 
-NUMBERS = {"tick": Key(int, True), "delay": Key(int, True)}  # of a snapshot, beside the arrays
+NUMBERS = {"tick": Key(int, True), "delay": Key(int, True)}  # of a snapshot, besides the arrays
 LAYOUT = zlib.crc32(repr((COUPLING.descr, mechanics.MECHANICS.descr)).encode())

@@ -60,7 +60,7 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         raise ValueError(f"mjcf = {mjcf!r}: give the path of an MJCF file, or its text")
     if not isinstance(folder, str | Path | None):
         raise ValueError(f"folder = {folder!r}: give the path of a folder")
-    text, base, seen = str(mjcf), Path(), set[Path]()
+    text, base, files = str(mjcf), Path(), set[Path]()
     if not text.lstrip().startswith("<"):
         file = Path(mjcf)
         if not file.exists():
@@ -69,13 +69,13 @@ def read(mjcf: str | Path, folder: str | Path | None = None) -> mujoco.MjSpec:
         if not file.suffix:  # by which MuJoCo recognises the format
             raise ValueError(f"{mjcf}: a file of MJCF ends in .xml")
         base, text = file.parent, _text(file)
-        seen.add(file.resolve())
+        files.add(file.resolve())
     root = Path(base if folder is None else folder).resolve()
-    _opened(text, base, root, seen, _Asked(), 1.0)
+    _opened(text, base, root, files, _Asked(), 1.0)
     try:
-        spec = mujoco.MjSpec.from_file(str(mjcf)) if seen else mujoco.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_file(str(mjcf)) if files else mujoco.MjSpec.from_string(text)
     except ValueError as error:
-        where, said = str(mjcf) if seen else "MJCF", " ".join(str(error).split())
+        where, said = str(mjcf) if files else "MJCF", " ".join(str(error).split())
         if "find decoder" in said:
             said = "a file of MJCF ends in .xml"
         raise ValueError(f"{where}: {said}") from None
@@ -157,7 +157,7 @@ def _text(file: Path) -> str:
 
 
 def _opened(
-    text: str, base: Path, root: Path, seen: set[Path], asked: _Asked, times: float
+    text: str, base: Path, root: Path, files: set[Path], asked: _Asked, times: float
 ) -> None:
     """Check a text and, recursively, the files that MuJoCo opens while it parses."""
     if "<!ENTITY" in text:
@@ -175,10 +175,10 @@ def _opened(
                 file = _inside(base / place / given, root)
                 if file.exists() and not file.is_dir():
                     regular(file)
-                if name == "file" and not element.startswith("<flexcomp") and file not in seen:
-                    seen.add(file)
+                if name == "file" and not element.startswith("<flexcomp") and file not in files:
+                    files.add(file)
                     if file.is_file():
-                        _opened(_text(file), base, root, seen, asked, often.get(given, times))
+                        _opened(_text(file), base, root, files, asked, often.get(given, times))
 
 
 def _inside(file: Path, root: Path) -> Path:

@@ -167,7 +167,7 @@ class DeviceVectorEnv(ServoVectorEnv):
         for i in rows:
             ready, env = self._ready[i], self.envs[i]
             if ready is not None and env._np_random is not ready.generator:
-                self._ready[i] = None  # seeded anew meanwhile
+                self._ready[i] = None  # seeded again meanwhile
             elif ready is not None and options:
                 ready.generator.bit_generator.state = ready.before
                 self._ready[i] = None
@@ -345,7 +345,7 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Raise TypeError: it cannot be copied or pickled."""
-        raise TypeError("a vector on a device is not copied or pickled: make it where it is needed")
+        raise TypeError("a vector on a device cannot be copied or pickled: make it anew instead")
 
 
 class _Ready(NamedTuple):

@@ -61,7 +61,7 @@ class ServoEnv(Task, gym.Env[np.ndarray, np.ndarray]):
         previous_action: whether the observation ends with the previous action.
         prices: charges for torque and jerk in the reward, see
             `servogym.envs.exchange.batch.PRICES`; by default none.
-        randomise: ranges by name, drawn anew for each episode, see
+        randomise: ranges by name, from which each episode draws, see
             `servogym.envs.variation.randomisation`; ``"twin"`` draws from the intervals of a twin.
         twin: folder made by `servogym twin`; its plant and drive replace those of the task.
         faults: probabilities of faults. Causes inside a drive have a probability per step:

@@ -169,17 +169,17 @@ class ServoVectorEnv(gym.vector.VectorEnv):
         truncations = (self._steps >= self.max_episode_steps) & moving
         self._ended = terminations | truncations
         infos: dict[str, Any] = {}
-        anew = self._ended & False
+        resets = np.zeros_like(self._ended)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
-            anew = resting
+            resets = resting
         elif self.autoreset_mode == AutoresetMode.SAME_STEP:
-            anew = self._ended.copy()
-            if anew.any():
-                infos = {"final_obs": self._observed(), "_final_obs": anew,
-                         "final_info": self._infos(), "_final_info": anew}
+            resets = self._ended.copy()
+            if resets.any():
+                infos = {"final_obs": self._observed(), "_final_obs": resets,
+                         "final_info": self._infos(), "_final_info": resets}
         else:
             self._ended |= resting
-        self._restart(np.flatnonzero(anew).tolist())
+        self._restart(np.flatnonzero(resets).tolist())
         infos |= self._infos()
         return self._observed(), rewards, terminations, truncations, infos
 

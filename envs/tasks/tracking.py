@@ -173,7 +173,7 @@ class LinearAxisTrackingEnv(ServoEnv):
         ("_velocity", "f8", (SAMPLES,)),  # m/s
         ("_acceleration", "f8", (SAMPLES,)),  # m/s²
         ("_now", "i8"),  # sample of the reference
-        ("_running", "?"),  # the drive is enabled, so the reference goes on
+        ("_running", "?"),  # the drive is enabled, so the reference advances
         ("_squares", "f8"),  # sum of error² (m²) over `_count` steps
         ("_load_squares", "f8"),  # the same of the load
         ("_count", "i8"),

@@ -1,1 +1,1 @@
-"""What is seen of a machine."""
+"""Views of a machine: pictures, channels and decoration."""

@@ -24,7 +24,7 @@ class Channel(NamedTuple):
     aim: Quantity | None = None  # reference or goal
     window: Quantity | None = None  # permitted deviation to both sides of the aim, or of 0
     nearest: float = math.inf  # number of windows that the panel shows
-    wide: bool = False  # the window is wide beside the values: linear near 0, logarithmic beyond
+    wide: bool = False  # a window much wider than the values: linear near 0, logarithmic beyond
 
 
 def joint(env: Any, name: str) -> tuple[float, float]:
