@@ -345,7 +345,7 @@ class DeviceVectorEnv(ServoVectorEnv):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Raise TypeError: it cannot be copied or pickled."""
-        raise TypeError("a vector on a device cannot be copied or pickled: make it anew instead")
+        raise TypeError("a vector on a device cannot be copied or pickled: build another one")
 
 
 class _Ready(NamedTuple):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from ...drive.model.names import hint
 from ..engine.checks import changed, check_fields, ranged
 from .motor import MotorParameters
+from .transmission import refuse_without_spring
 
 HEAVIEST = 100.0  # kg, payload
 
@@ -72,16 +73,7 @@ class LinearAxisParameters(MotorParameters):
                 f"static_friction = {self.static_friction:g} N needs a coulomb_friction above "
                 f"0 and not above it, which is {self.coulomb_friction:g} N; 0 is off"
             )
-        if self.backlash > 0.0 and self.transmission_stiffness == 0.0:
-            raise ValueError(
-                f"backlash = {self.backlash:g} m needs a transmission_stiffness above 0 N/m: the "
-                "gap lies in the spring between motor side and carriage"
-            )
-        if self.efficiency < 1.0 and self.transmission_stiffness == 0.0:
-            raise ValueError(
-                f"efficiency = {self.efficiency:g} needs a transmission_stiffness above 0 N/m: the "
-                "spring between motor side and carriage is the load of the gear"
-            )
+        refuse_without_spring(self, "m", "N/m")
 
 
 # 16 mm belt, both spans in parallel, at the middle of the stroke: Gates, Synchroflex: specific

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ..engine.checks import check_fields, ranged
 from .motor import MotorParameters
+from .transmission import refuse_without_spring
 
 MILLIDEGREE = math.radians(1e-3)
 MICROMETRE = 1e-6
@@ -38,13 +39,7 @@ class RotaryParameters(MotorParameters):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        elastic = {"backlash": self.backlash > 0.0, "efficiency": self.efficiency < 1.0}
-        for name, wanted in elastic.items():
-            if wanted and self.transmission_stiffness == 0.0:
-                raise ValueError(
-                    f"{name} = {getattr(self, name):g} needs a transmission_stiffness above 0 "
-                    "Nm/rad: it acts at the spring between motor and load"
-                )
+        refuse_without_spring(self, "rad", "Nm/rad")
         if self.pitch > 0.0 and self.circumference == 0.0:
             raise ValueError(
                 f"pitch = {self.pitch:g} m needs a circumference: a table repeats after a turn"

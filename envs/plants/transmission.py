@@ -1,6 +1,7 @@
 """Elastic transmissions: a spring between the motor side of an axis and what it moves."""
 
 import math
+from typing import Any
 
 import mujoco
 
@@ -36,6 +37,20 @@ def drive_elastically(spec: mujoco.MjSpec, body: str, stiffness: float, damping:
     guide.wrap_joint(body, 1.0)
     motor.limited = False
     motor.frictionloss = 0.0
+
+
+def refuse_without_spring(parameters: Any, length: str, stiffness: str) -> None:
+    """Raise ValueError for backlash or losses of a rigid transmission, with units of both."""
+    given = []
+    if parameters.backlash > 0.0:
+        given.append(f"backlash = {parameters.backlash:g} {length}")
+    if parameters.efficiency < 1.0:
+        given.append(f"efficiency = {parameters.efficiency:g}")
+    if given and parameters.transmission_stiffness == 0.0:
+        raise ValueError(
+            f"{given[0]} needs a transmission_stiffness above 0 {stiffness}: it acts at the spring "
+            "between motor and load"
+        )
 
 
 class TooFast(ValueError):

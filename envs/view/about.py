@@ -7,7 +7,7 @@ METRES = re.compile(r"\((µ?)m(|/[^)]*)\)")  # a unit in a heading
 
 
 class Metric(NamedTuple):
-    """The description of a metric, a column in the table of a comparison."""
+    """The description of a metric in the table of a comparison."""
 
     heading: str  # with unit
     better: str  # "high" or "low"; empty: neither
