@@ -17,18 +17,18 @@ def found(task: Any, twin: str | Path | None, drive: str | Path | DriveModel) ->
     """
     if twin is None:
         return None, drive
-    known = read(twin)
-    plant = known.datasheet()
+    identified = read(twin)
+    plant = identified.datasheet()
     if plant is None or type(task.datasheet) is not type(plant):
         raise ValueError(
-            f"twin = {str(twin)!r} is a {known.builder}, which is not the machine of "
+            f"twin = {str(twin)!r} is a {identified.builder}, which is not the machine of "
             f"{type(task).__name__}"
         )
     name = getattr(drive, "name", drive)
-    if name not in ("generic", known.drive):
-        raise ValueError(f"drive = {name!r}: the twin's is {known.drive!r}, leave it out")
+    if name not in ("generic", identified.drive):
+        raise ValueError(f"drive = {name!r}: the twin's is {identified.drive!r}, leave it out")
     task.datasheet = plant
-    return known, known.drive if name == "generic" else drive
+    return identified, identified.drive if name == "generic" else drive
 
 
 def ranges(given: Any, twin: Twin | None) -> Any:

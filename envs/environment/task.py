@@ -48,7 +48,7 @@ class Task:
     REFERENCED: ClassVar[bool] = True  # whether the drives are referenced when an episode begins
     POLICIES: tuple[str, ...] = ()  # baselines by name, besides hold and random
     BOUND: ClassVar[str] = ""  # row of `training.policies.bound.BOUNDS`; empty: no known bound
-    REFERENCE: ClassVar[str] = ""  # baseline with score 1, hold has score 0; empty: no score
+    REFERENCE: str = ""  # baseline with score 1, hold has score 0; empty: no score
     HOLD: ClassVar[Mapping[str, float]] = {}  # actions that hold still, where they are not 0
     METRIC: ClassVar[str] = "episode_return"  # metric that ranks policies
     METRICS: ClassVar[Mapping[str, Metric]] = {}
