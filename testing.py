@@ -1,4 +1,4 @@
-"""pytest fixtures for masters under test: a served machine beside the true state of its axes.
+"""pytest fixtures that serve a machine to a master under test and show its true state.
 
 Add ``pytest_plugins = ["servogym.testing"]`` to your ``conftest.py``.
 """
@@ -16,7 +16,7 @@ __all__ = ["laboratory"]
 
 @pytest.fixture
 def laboratory() -> Iterator[Callable[[str | Path | Mapping[str, Any]], Laboratory]]:
-    """A function that serves a machine file (or a mapping of the same form) for one test.
+    """Return a function that serves a machine file, or a mapping of the same form, for one test.
 
     >>> def test_my_master_survives_an_over_voltage(laboratory):
     ...     machine = laboratory("machine.toml")
@@ -25,7 +25,7 @@ def laboratory() -> Iterator[Callable[[str | Path | Mapping[str, Any]], Laborato
     ...     machine.inject("feeder.x", "overvoltage")
     ...     machine.wait_until(lambda: machine.state("feeder.x") == "FAULT")
 
-    Whatever ended the thread of a bus is raised when the test is over.
+    An error that ended the thread of a bus is raised when the test is over.
     """
     opened: list[Laboratory] = []
 

@@ -1,8 +1,8 @@
-"""Batch: the arrays in which any number of environments of one task meet their machines.
+"""The arrays by which any number of environments of one task exchange data with their machines.
 
-One row an environment: its machine, what its task remembers, the action, the process images, the
-observation. A step of some rows is three compiled calls: the task makes RPDO images of the actions,
-the loop latches them, runs and collects TPDO images, and the task judges what came back.
+Each row belongs to an environment: its machine, the record of its episode, the action, the process
+images and the observation. A step of some rows makes three compiled calls: the task turns actions
+into RPDO images; the loop latches them, runs, and collects TPDO images; the task judges the result.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,14 +25,14 @@ from .loops import acting, judging
 PDO_BYTES = 8
 COMMANDED = ("controlword", "modes_of_operation")  # first in each RPDO image
 REPORTED = ("statusword", "modes_of_operation_display")  # first in each TPDO image
-# what every task keeps of an episode
+# fields that the episode of every task has
 JUDGED = [
     ("reward", "f8"), ("cost", "f8"), ("is_success", "?"), ("_terminated", "?"),
     ("_world", "i8"),  # address of its machine while its task acts or judges, else 0
 ]
-# What a step may cost beside what a task judges, taken off its reward: price × the mean over the
-# drives. torque: (6077h / rated torque)² at the end of the step, in proportion to the loss in the
-# winding. jerk: (its change in the step / rated torque)², since what is moved has one mass.
+# Costs that can be subtracted from the reward of a step: price × the mean over the drives.
+# torque: (6077h / rated torque)² at the end of the step, proportional to the loss in the winding.
+# jerk: (change of the torque in the step / rated torque)², as the moved mass is constant.
 PRICES = ("torque", "jerk")
 DEAREST = 1000.0
 TORQUE = "torque_actual_value"
@@ -40,7 +40,7 @@ JUDGED_NAMES = tuple(name for name, _ in JUDGED)
 
 
 def shown(name: str) -> bool:
-    """Whether the infos have a field; a step gives the reward, libraries keep theirs in infos."""
+    """Whether the infos have a field; they omit the reward, which every step returns anyway."""
     return name != "reward" and not name.startswith("_")
 
 
@@ -59,12 +59,12 @@ def priced(prices: Mapping[str, float] | None) -> tuple[float, float]:
 
 
 def episode(*fields: tuple) -> np.dtype:
-    """The record a task keeps of an episode: what is judged, and `fields` of its own."""
+    """Return the record of an episode: the fields of every task, and `fields` of this one."""
     return np.dtype([*JUDGED, *fields], align=True)
 
 
 def image_type(drive: Drive, names: Sequence[str]) -> np.dtype:
-    """The process image of mapped objects as a record. Raises ValueError if one is missing."""
+    """Return the process image of mapped objects. Raises ValueError if the drive lacks one."""
     missing = [name for name in names if name not in drive.objects.names]
     if missing:
         raise ValueError(
@@ -74,7 +74,7 @@ def image_type(drive: Drive, names: Sequence[str]) -> np.dtype:
 
 
 def mapping(image: np.dtype) -> list[list[str]]:
-    """The fields of an image shared out to PDOs of 8 bytes, in their order."""
+    """Divide the fields of an image into PDOs of at most 8 bytes, in their order."""
     pdos: list[list[str]] = [[]]
     free = PDO_BYTES
     for name in image.names or ():
@@ -88,7 +88,7 @@ def mapping(image: np.dtype) -> list[list[str]]:
 
 
 class Line(Protocol):
-    """A way of process images to the drives of a world, other than by memory."""
+    """A connection other than memory that carries process images to the drives of a world."""
 
     def run(self, world: np.ndarray, ticks: int, rpdos: np.ndarray, tpdos: np.ndarray) -> None:
         """Run cycles as `loop.run` does, for one world and its images as bytes."""
@@ -124,12 +124,12 @@ class Batch:
         drives: of one machine, with the mapping of the task.
         rpdo, tpdo: image of one drive.
         ticks: physics steps a step.
-        modes: that the agent chooses from with ``action="pdo"``; none: it moves set-points only.
+        modes: modes from which the agent chooses with ``action="pdo"``; empty for set-points only.
         history: observations kept, the latest first.
         previous_action: whether the action taken last is observed.
         prices: of torque and jerk.
 
-    Raises ValueError for a price without the object 6077h among those the task sees.
+    Raises ValueError for a price if the TPDO of the task lacks 6077h.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class Batch:
         self.ticks = ticks
         self.prices = prices
         if any(prices) and TORQUE not in (tpdo.names or ()):
-            raise ValueError(f"prices: the task does not see {TORQUE}, take it into its TPDO")
+            raise ValueError(f"prices: the TPDO of the task lacks {TORQUE}: add it")
         self.lines: dict[int, Line] = {}  # by world, where images go in frames
         self.stopped = False  # set by another thread: a step ends as soon as it can
         self.modes = np.array(modes, np.int8)
@@ -179,7 +179,7 @@ class Batch:
         self._tpdo_images = _bytes(self.tpdos)
 
     def part(self, begin: int, end: int) -> Part:
-        """Views of the rows `begin` to `end`, whose machines share a turn, as `run` takes them."""
+        """Return views of the rows `begin` to `end`, whose machines share a turn, for `run`."""
         arrays: Any = (
             self.worlds, self.episodes, self.actions, self._commands, self._controls, self.rpdos,
             self.tpdos, self.observations, self._seen, self._status, self._rpdo_images,
@@ -189,9 +189,9 @@ class Batch:
         return Part._make([*(array[begin:end] for array in arrays), machine.turn])
 
     def run(self, part: Part) -> None:
-        """One step of the rows of a part; rows whose world is 0 are left out.
+        """Run a step of the rows of a part, except those whose world is 0.
 
-        Raises what `loop.run` does, and RuntimeError once `stopped`.
+        Raises as `loop.run`, and RuntimeError once `stopped` is set.
         """
         with part.turn:
             if len(self.modes):
@@ -206,18 +206,18 @@ class Batch:
                 self.charge(part, before)
 
     def torque(self, part: Part) -> np.ndarray:
-        """Torque of each drive as a share of the rated torque, shape ``(n, drives)``, a copy."""
+        """Return a copy of each drive's torque (rated torque), shape ``(n, drives)``."""
         return 1e-3 * np.asarray(part.tpdos[TORQUE], float)
 
     def charge(self, part: Part, before: np.ndarray) -> None:
-        """Take torque and jerk off the rewards of the rows that have stepped."""
+        """Subtract the prices of torque and jerk from the rewards of the rows that have stepped."""
         torque = self.torque(part)
         terms = (torque**2).mean(axis=1), ((torque - before) ** 2).mean(axis=1)
         cost = sum(price * term for price, term in zip(self.prices, terms, strict=True))
         part.episodes["reward"] -= np.where(part.worlds != 0, cost, 0.0)
 
     def _exchange(self, part: Part) -> None:
-        """Images against a step of the machines."""
+        """Exchange process images with the machines, which run a step."""
         worlds, rpdos, tpdos = part.worlds, part.received, part.transmitted
         if not self.lines:
             loop.run(worlds, self.ticks, rpdos, tpdos, lambda: self.stopped)
@@ -256,15 +256,15 @@ class Batch:
         self._frames[rows, 0] = self.observations[rows]
 
     def history(self, row: int) -> np.ndarray:
-        """The observations kept for a row, shape ``(history, observations)``, a copy."""
+        """Return a copy of a row's past observations, shape ``(history, observations)``."""
         return self._frames[row].copy()
 
     def set_history(self, row: int, frames: np.ndarray) -> None:
-        """Give a row the observations that `history` gave."""
+        """Restore the observations that `history` returned."""
         self._frames[row] = frames
 
     def observed(self, rows: slice) -> np.ndarray:
-        """What the agents of `rows` see, shape ``(n, width)`` float32, a copy."""
+        """Return a copy of the observations of some agents, shape ``(n, width)``, float32."""
         frames = self._frames[rows]
         frames = frames.reshape(len(frames), -1)
         if not self._previous_action:
@@ -273,7 +273,7 @@ class Batch:
 
 
 def _with(record: np.dtype, name: str, kind: np.dtype, drives: int) -> np.dtype:
-    """A record of a task, and what the face "pdo" adds for each drive."""
+    """Return a task's record with the fields that the face "pdo" adds for each drive."""
     fields: list[Any] = [(n, record[n]) for n in record.names or ()]
     return np.dtype([*fields, (name, kind, (drives,))])
 

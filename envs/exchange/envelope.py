@@ -1,9 +1,9 @@
-"""The guard before a drive on a bus: what no policy gets past, whatever it was trained on.
+"""The guard in front of a drive on a bus, which no policy can bypass.
 
-Each command is looked at before it is sent and each answer when it has come. What leaves the
+It checks each command before it is sent and each answer when it arrives. A value outside the
 envelope raises `Stopped` with the name of the limit; the line then sends a quick stop and nothing
-else. It is not a safety function: it runs on the computer the policy runs on. What protects people
-is the machine's own, such as STO (IEC 61800-5-2).
+else. The guard is not a safety function, because it runs on the same computer as the policy. What
+protects people belongs to the machine, such as STO (IEC 61800-5-2).
 """
 
 import math
@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 
 from ..engine.checks import in_range
 
-# Commands are held to the velocity itself. An axis catches up with one that came late by a share of
-# a step; a drive's own overspeed protection gives it the same room (`drive.kernel.monitor`).
+# Commands must not exceed the velocity itself. An axis may, as it catches up with a late set-point.
+# A drive's own overspeed protection has the same margin (`drive.kernel.monitor`).
 MARGIN = 1.2
 FAULT = 0x0008  # statusword
 OPERATION_ENABLED, STATE = 0x0027, 0x006F
@@ -39,7 +39,7 @@ class Envelope:
         jerk: of set-points, over three steps.
         torque: of target torque, torque offset and torque limit.
         following_error: of the axis.
-        following_error_time: for which the axis may be beyond it (s).
+        following_error_time: how long the axis may exceed the following error (s).
     """
 
     low: float
@@ -69,15 +69,15 @@ class Envelope:
 
 
 class Guard:
-    """Looks at the commands to one drive and at its answers.
+    """Checks the commands to one drive and its answers.
 
     Args:
         axis: name of the drive.
         envelope: its limits.
         period: of the steps (s).
-        position, speed: what a position or a velocity unit is at the load (m or rad, per s).
+        position, speed: size of a position and a velocity unit at the load (m or rad, per s).
 
-    Set-points are whole units, so their differences may be beyond a limit by what rounding makes.
+    Set-points are whole units, so their differences may exceed a limit by the rounding error.
     """
 
     def __init__(self, axis: str, envelope: Envelope, period: float, position: float, speed: float):
@@ -86,13 +86,13 @@ class Guard:
         self.begin(0.0)
 
     def begin(self, position: float) -> None:
-        """At rest at a position (m or rad), before an episode."""
+        """Begin an episode at rest at a position (m or rad)."""
         self._at = position
         self._set_point, self._velocity, self._acceleration = position, 0.0, 0.0
-        self._beyond = 0.0  # s, that the following error has been out of its window
+        self._beyond = 0.0  # s for which the following error has been outside its window
 
     def command(self, values: Mapping[str, float]) -> None:
-        """A command (drive units by object) that is about to be sent. Raises Stopped."""
+        """Check a command (drive units by object) before it is sent. Raises Stopped."""
         limits = self.envelope
         for name, value in values.items():
             if not math.isfinite(value):
@@ -118,7 +118,7 @@ class Guard:
                 )
 
     def answer(self, values: Mapping[str, float]) -> None:
-        """What has come back (drive units by object). Raises Stopped."""
+        """Check an answer (drive units by object). Raises Stopped."""
         limits, word = self.envelope, int(values["statusword"])
         if word & FAULT:
             raise self._stop("the drive is in a fault")
@@ -142,7 +142,7 @@ class Guard:
             raise self._stop(f"{what} {position:.4g} is out of {low:.4g}..{high:.4g}")
 
     def _moves(self, velocity: float, unit: float, what: str) -> None:
-        """A velocity of set-points, known to a `unit`, and its differences."""
+        """Check a velocity of set-points, with the resolution `unit`, and its differences."""
         limits = self.envelope
         acceleration = (velocity - self._velocity) / self.period
         jerk = (acceleration - self._acceleration) / self.period

@@ -1,13 +1,13 @@
-"""Vectors whose numbers have names: observations and actions as records of floats.
+"""Vectors with named elements: observations and actions as records of floats.
 
-A field is a name; or a name and how many; or a name, how many, and the record each of them is::
+A field is a name; a name with a shape; or a name, a shape, and the record of each element::
 
     AXIS = observation("distance", "velocity")
     observation("goal", ("preview", 4), ("axes", 2, AXIS))  # nine numbers
     observation(("path", (4, 2)))  # eight
 
-Compiled code writes and reads the fields of such a record (``seen.goal``, ``seen.preview[2]``,
-``seen.axes[0].velocity``), Gymnasium has the vector: both are the same memory.
+Compiled code uses the fields of such a record (``seen.goal``, ``seen.preview[2]``,
+``seen.axes[0].velocity``) and Gymnasium uses the vector, which is the same memory.
 """
 
 from typing import Any
@@ -21,12 +21,12 @@ Field = str | tuple[str, Shape] | tuple[str, Shape, np.dtype]
 
 
 def observation(*fields: Field) -> np.dtype:
-    """What an agent sees, float32."""
+    """Return the record of an observation, float32."""
     return _record("f4", fields)
 
 
 def action(*fields: Field) -> np.dtype:
-    """What an agent does, float64 on its way to the drives."""
+    """Return the record of an action, float64."""
     return _record("f8", fields)
 
 
@@ -39,7 +39,7 @@ def _record(number: str, fields: tuple[Field, ...]) -> np.dtype:
 
 
 def width(record: np.dtype) -> int:
-    """How many numbers it is."""
+    """Return the length of a record as a vector."""
     return record.itemsize // _number(record).itemsize
 
 
@@ -50,7 +50,7 @@ def _number(record: np.dtype) -> np.dtype:
 
 
 def names(record: np.dtype) -> list[str]:
-    """Names of all numbers in order: ``"goal"``, ``"path[3, 1]"``, ``"axes[0].velocity"``."""
+    """Return the names of all elements: ``"goal"``, ``"path[3, 1]"``, ``"axes[0].velocity"``."""
     found = []
     for name in record.names or ():
         kind, shape = record[name].base, record[name].shape
@@ -61,7 +61,7 @@ def names(record: np.dtype) -> list[str]:
 
 
 def slots(record: np.dtype) -> dict[str, slice]:
-    """Where each field lies in the vector."""
+    """Return the slice of the vector that each field occupies."""
     size, offsets = _number(record).itemsize, dict(record.fields or {})
     return {
         name: slice(at // size, (at + kind.itemsize) // size)
@@ -70,6 +70,6 @@ def slots(record: np.dtype) -> dict[str, slice]:
 
 
 def named(record: np.dtype, vector: np.ndarray) -> Any:
-    """The first numbers of a vector by the names of a record of float32; the same memory."""
+    """View the first elements of a vector as a record of float32, if possible without a copy."""
     numbers = np.ascontiguousarray(vector[: width(record)], np.float32)
     return numbers.view(accessible(record))[0]

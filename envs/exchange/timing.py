@@ -1,4 +1,4 @@
-"""When the steps of an environment on a bus happened, against when they should have."""
+"""When the steps of an environment on a bus happened, compared with their schedule."""
 
 from array import array
 from typing import NamedTuple
@@ -23,14 +23,14 @@ class Timing:
     """Times of each step (s).
 
     Attributes:
-        waking: after the planned time, until this process went on.
-        answers: from the question (SYNC, or the frame that reads) to the last answer.
-        thinking: that the policy took.
-        sending: after the planned time, until the set-points went out.
-        missed: steps whose set-points were later than the step is long.
-        lost: steps without all the answers.
-        stale: steps in which the policy had not answered, and its last action went on.
-        in_a_row: the most of one of these three, one after the other.
+        waking: delay from the scheduled time until this process woke up.
+        answers: time from the request (SYNC, or the frame that reads) to the last answer.
+        thinking: time that the policy took.
+        sending: delay from the scheduled time until the set-points were sent.
+        missed: number of steps whose set-points were sent after the step had ended.
+        lost: number of steps without all answers.
+        stale: number of steps in which the previous action was used, as the policy was late.
+        in_a_row: the largest number of consecutive steps of one of these three kinds.
     """
 
     EDGES = EDGES
@@ -42,7 +42,7 @@ class Timing:
         self.missed = self.lost = self.stale = self.in_a_row = 0
 
     def rows(self) -> list[Row]:
-        """Each time that was measured, in the order of a step."""
+        """Return the distribution of each time that was measured, in the order of a step."""
         rows = []
         for what in self.KINDS:
             values = np.array(getattr(self, what)) * 1e6
@@ -53,17 +53,17 @@ class Timing:
         return rows
 
     def row(self, steps: int) -> int:
-        """Take note of so many such steps one after the other; returns their number."""
+        """Record that so many steps of a kind occurred in a row, and return their number."""
         self.in_a_row = max(self.in_a_row, steps)
         return steps
 
     @property
     def share(self) -> float:
-        """Of the time of all steps, what the policy thought."""
+        """Share of the total time that the policy took."""
         return sum(self.thinking) / (len(self.waking) * self.period) if self.waking else 0.0
 
     def as_dict(self) -> dict[str, object]:
-        """All of it as numbers, for a report."""
+        """Return all values for a report."""
         rows = {row.what: row._asdict() for row in self.rows()}
         return rows | {
             "steps": len(self.waking), "period": self.period, "missed": self.missed,

@@ -1,4 +1,4 @@
-"""The file of `servogym serve`: which machines there are, and on which bus each of them is.
+"""The file of `servogym serve`: the machines, and the bus that each of them is on.
 
 A machine file is TOML::
 
@@ -46,10 +46,10 @@ class BusRow:
 
     Args:
         kind: ``can`` or ``ethercat``.
-        clock: who lets time pass. On CAN ``real`` (the wall clock), ``sync`` (each SYNC of the
-            master lets `period_us` pass, so runs are repeatable and as fast as the master) or
-            ``sync_end`` (the same, but the SYNC ends its period: what was sent before it acts for
-            all of it, and the answers to it tell what came of it). On EtherCAT ``frame``, ``dc`` or
+        clock: what advances the time. On CAN ``real`` (the wall clock), ``sync`` (each SYNC of the
+            master, by `period_us`, so runs are repeatable and as fast as the master) or
+            ``sync_end`` (the same, but the SYNC ends its period: commands sent before it act for
+            all of it, and the answers to it report the result). On EtherCAT ``frame``, ``dc`` or
             ``real``, see `servogym.drive.ethercat.bus`.
         interface: of CAN, the interface of python-can; of EtherCAT, one network interface or two
             for redundancy.
@@ -57,9 +57,8 @@ class BusRow:
         udp: of EtherCAT, the address to listen on at UDP port 88A4h instead of an interface.
         period_us: of CAN with the clock ``sync`` or ``sync_end`` (µs); of a task its step, if 0.
         options: of CAN, further keywords of ``can.Bus``.
-        faults: of EtherCAT, lines as ``servogym ethercat --fault`` takes them; of CAN, how often
-            what happens to a frame, as ``{ drop = 0.001 }``, see
-            `servogym.drive.canopen.faulty.Faults`.
+        faults: of EtherCAT, lines as for ``servogym ethercat --fault``; of CAN, the rate of each
+            kind, as ``{ drop = 0.001 }``, see `servogym.drive.canopen.faulty.Faults`.
         log: file for all frames; ``.pcapng`` on EtherCAT, a format of python-can on CAN.
 
     Raises:
@@ -107,7 +106,7 @@ class BusRow:
                 raise ValueError(f"log = {self.log!r}: captures are .pcapng")
 
     def rates(self) -> Faults:
-        """Faults of a CAN bus. Raises ValueError for what is none."""
+        """Return the fault rates of a CAN bus. Raises ValueError for an unknown kind."""
         if not isinstance(self.faults, dict):
             if self.faults:
                 raise ValueError("faults: give a table, as { drop = 0.001 }")
@@ -133,7 +132,7 @@ class BusRow:
 
 @dataclass(frozen=True)
 class MachineRow:
-    """One machine: what moves, and the drives that move it.
+    """One machine: the mechanics, and the drives that move them.
 
     Args:
         bus: name of the bus that all its drives are on.
@@ -181,13 +180,13 @@ class MachineRow:
 
 @dataclass(frozen=True)
 class EventRow:
-    """Something that happens to a drive at a time.
+    """A fault that is injected into a drive at a given time.
 
     Args:
         at: time of its machine (s).
         drive: ``MACHINE.DRIVE``, or the machine if it has one drive.
         inject: cause, see `servogym.drive.drive.Drive.injectable`.
-        clear_after: when the cause goes away again (s); 0: it stays.
+        clear_after: how long the cause lasts (s); 0: until it is cleared.
 
     Raises:
         ValueError: names the field and its range.
@@ -205,11 +204,11 @@ class EventRow:
 
 @dataclass(frozen=True)
 class Description:
-    """All of a machine file, or what the options of a command say instead of one.
+    """The content of a machine file, or of the options of a command.
 
     Args:
-        folder: that relative paths start from.
-        by_options: it comes from options, so errors name these instead of rows and fields.
+        folder: the folder from which relative paths start.
+        by_options: whether it comes from options, so that errors name these instead of fields.
 
     Raises:
         ValueError: a machine names a bus that is not there, or two have one node-id.
@@ -222,16 +221,16 @@ class Description:
     by_options: bool = False
 
     def named(self, field: str) -> str:
-        """A field of a row as the person who gave it knows it."""
+        """Return the name of a field as the user gave it: in a file, or as an option."""
         return f"--{field.replace('_', '-')}" if self.by_options else field
 
     def row(self, kind: str, name: str) -> str:
-        """What an error about a row begins with."""
+        """Return the beginning of an error message about a row."""
         return "" if self.by_options else f"{kind}.{name}: "
 
     @property
     def drive_models(self) -> set[str | Path]:
-        """All that it names, each as `model_of` has it."""
+        """All drive models that it names, each as `model_of` returns it."""
         rows = (row.drive for row in self.machines)
         names = (d.values() if isinstance(d, dict) else [d] for d in rows)
         return {model_of(self.folder, str(name)) for given in names for name in given}
@@ -249,16 +248,16 @@ class Description:
                 raise ValueError(f"bus.{bus.name}: no machine is on it")
 
     def of(self, bus: BusRow) -> list[MachineRow]:
-        """The machines on a bus, in the order of the file."""
+        """Return the machines on a bus, in the order of the file."""
         return [machine for machine in self.machines if machine.bus == bus.name]
 
 
 def nodes(
     drive: str, node_ids: Sequence[int], axis: str = "linear", parameter_file: str = ""
 ) -> tuple[MachineRow, ...]:
-    """A machine for each node-id; a drive of two axes has the next node-id for its second one.
+    """Return a machine for each node-id; the second axis of a drive has the next node-id.
 
-    Raises ValueError: a model without CAN, node-ids of which two machines would have one.
+    Raises ValueError for a model without CAN, or node-ids that two machines would share.
     """
     size = len(AXES[axis][1]) if axis in AXES else 1
     step = size * load(drive, "can").axes
@@ -276,16 +275,16 @@ def nodes(
 
 
 def model_of(folder: Path, name: str) -> str | Path:
-    """A drive model named in a machine file: its own folder beside the file, or the name."""
+    """Return a drive model of a machine file: a folder beside the file, else the name."""
     return folder / name if (folder / name).is_dir() else name
 
 
 def read(source: str | Path | Mapping[str, Any], *, run_code: bool = False) -> Description:
-    """The description in a file, or in a mapping of the same form.
+    """Read the description from a file, or from a mapping of the same form.
 
     Raises:
-        ValueError: names file, row, field and what it may be. A task in a file is of another
-            module, and nobody consented by `run_code`.
+        ValueError: names file, row, field and what it may be; or a file names a task of another
+            module, whose code runs only with `run_code`.
     """
     if isinstance(source, Mapping):
         return _description(source, Path(), "machine file")
@@ -329,7 +328,7 @@ def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _row(kind: type, where: str, row: Any, name: str = "") -> Any:
-    """A row as its dataclass, types checked. Raises ValueError with its place."""
+    """Return a row as its dataclass after checking the types. Raises ValueError with its place."""
     try:
         if not isinstance(row, Mapping):
             raise ValueError(f"it is {row!r}, not a table")

@@ -1,7 +1,7 @@
-"""The machine that `servogym serve TASK` serves, on its bus, within this process and in lock-step.
+"""The machine that `servogym serve TASK` serves, on a bus within this process and in lock-step.
 
-What a task plays there is what it plays on the real bus, but for the bus: the same commands on the
-way to the start, the same bytes, the same guard, rewards by the encoder.
+Apart from the bus itself a task runs as on a real one: with the same commands on the way to the
+start, the same bytes and the same guard, and with rewards from the encoder.
 """
 
 import time
@@ -25,7 +25,7 @@ from .machines import made
 
 
 class _Loop:
-    """Nodes whose time passes with each SYNC, which ends its period, as the bus of a master."""
+    """A bus in memory whose nodes advance by a period with each SYNC, which ends that period."""
 
     def __init__(self, machine: Machine, period: int):
         self._nodes = LockStep([machine], period)
@@ -59,8 +59,8 @@ def environment(
         bus: "can" or "ethercat".
         drive: model of its drives.
         parameters: of the environment.
-        home: method by which the drives are referenced before the first episode; where they
-            stand, if not given.
+        home: method by which the drives are referenced before the first episode; if not given,
+            they are referenced where they stand.
         envelopes: limits of the guard, as `servogym.envs.exchange.over_port.CanDrives` has them.
 
     Raises:

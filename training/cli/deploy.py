@@ -380,7 +380,7 @@ def _compared(
         there, stopped = in_memory(env, policy, len(own), options.seed, options.slow)
         if stopped:
             console.print(
-                f"{name}: the guard stopped episode {len(there) + 1} of {len(own)} in the {other}: "
+                f"{name}: episode {len(there) + 1} of {len(own)} was stopped in the {other}: "
                 f"{stopped}; the gap is that of the episodes before it",
                 style="yellow", markup=False,
             )
