@@ -13,6 +13,7 @@ from deployed import _network
 
 PAGES = Path(__file__).parents[2] / "docs/how-to"
 READY = 120  # s
+SHORTER = {"--episodes 20": "--episodes 2", "--steps 200000": "--steps 20000"}
 
 
 def blocks(page, kind):
@@ -31,6 +32,19 @@ def of_an_own_program():
         folder, "servogym serve LinearAxis-v0 --clock sync_end",
         f"{command} --lock-step --yes --episodes 3",
     )
+
+
+def from_a_log_to_the_gap(short):
+    """The lesson sim_to_real.md as printed, or with fewer steps and episodes."""
+    folder = Path(tempfile.mkdtemp())
+    (machine,) = blocks("sim_to_real.md", "toml")
+    (folder / "machine.toml").write_text(machine, encoding="utf-8")
+    serve, *lines = [
+        x for block in blocks("sim_to_real.md", "sh") for x in block.splitlines()
+    ]
+    for pattern, fewer in SHORTER.items() if short else ():
+        lines = [re.sub(pattern, fewer, line) for line in lines]
+    return _walked(folder, serve, *lines)
 
 
 def _walked(folder, serve, *commands):

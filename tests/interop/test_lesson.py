@@ -11,3 +11,17 @@ def test_a_step_chain_that_plans_with_ruckig_runs_by_the_same_command():
     assert status == 0, said
     assert said.count(", success, 200 steps") == 3, said
     assert result["status"] == 0
+
+
+@pytest.mark.slow
+def test_the_way_from_a_log_to_the_gap_runs_as_it_is_printed():
+    pytest.importorskip("stable_baselines3")
+    result = on_the_wire("lesson", "from_a_log_to_the_gap", "forked", short=True, timeout=1800)
+    for command, status, said in result["told"]:
+        assert status == 0, (command, said)
+        assert "stopped" not in said, (command, said)
+    said = "".join(each for *_, each in result["told"])
+    assert "policy: bus - memory, 2 episodes" in said
+    assert "policy: bus - twin, 2 episodes" in said
+    assert "held-out position error" in said
+    assert result["status"] == 0
