@@ -514,7 +514,7 @@ def test_a_node_on_a_bus_is_watched_commanded_and_says_what_a_bus_cannot_give(br
         move(page, "20")
         expect(at(page, "position")).to_have_text(near(20))
         open_page(page, "experiments")
-        expect(at(page, "absent")).to_contain_text("what is behind a bus may be a real one")
+        expect(at(page, "absent")).to_contain_text("the machine on a bus may be a real one")
         open_page(page, "state")
         expect(at(page, "measured")).to_contain_text("samples/s")
         picture(page, "bus")
