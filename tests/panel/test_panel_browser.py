@@ -437,6 +437,20 @@ def test_an_exercise_is_begun_and_its_first_step_done(page):
     at(page, "clear-injected").click()
 
 
+def test_the_table_of_objects_is_full_after_the_theme_has_changed_on_another_page(page):
+    """It was measured while it had no height, and showed a dozen rows until it was scrolled."""
+    open_page(page, "objects")
+    at(page, "search").fill("")
+    rows = at(page, "objects").locator("tbody.q-virtual-scroll__content tr")
+    expect(rows.nth(30)).to_be_attached()
+    for _ in range(2):
+        open_page(page, "state")
+        at(page, "theme").click()
+        page.wait_for_timeout(500)
+        open_page(page, "objects")
+        expect(rows.nth(30)).to_be_attached()
+
+
 def test_two_tabs_one_commands_and_taking_over_is_seen(page, browser, server):
     ready(page)
     other = tab(browser, server)  # takes over

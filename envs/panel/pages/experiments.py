@@ -98,8 +98,8 @@ class ExperimentsPage:
                 self.goal = Entry(goal.name, goal.unit, goal.low, goal.high, goal.value,
                                   test="goal")
                 self.take = button("Hand over", self._hand_over, "hand-over", "main")
-            own = "" if self.laboratory.shipped_only else "; FILE.py:name; the folder of a training"
-            note(f"{fitting.what} {', '.join(offered)}{own}.")
+            own = ", FILE.py:name or the folder of a training" * (not self.laboratory.shipped_only)
+            note(f"{fitting.what} Choose {', '.join(offered)}{own}.")
             self.wrong = note("", "policy-wrong", "bad")
         with card("Side by side", "compare"):
             with div("cluster"):

@@ -151,6 +151,10 @@ class ObjectsPage:
         self.loaded.set_text(str(words) if words else f"{event.file.name} is in force.")
         lit(self.loaded, "bad", bool(words))
 
+    def opened(self) -> None:
+        """Measure the table, whose rows were counted while it was hidden and had no height."""
+        self.table.run_method("resetVirtualScroll")
+
     async def show(self) -> None:
         """Show the present values: of all objects now and then, of the chosen object always."""
         axis = self.desk.axis

@@ -184,6 +184,7 @@ class Shell:
         for other, frame in self.frames.items():
             lit(frame, "open", other == name)
             lit(self.links[other], "now", other == name)
+        getattr(self.pages[name], "opened", lambda: None)()
 
     async def _axis(self, axis: str) -> None:
         await self._rest()
