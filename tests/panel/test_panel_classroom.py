@@ -186,7 +186,7 @@ def test_a_server_that_is_started_anew_knows_its_pupils(room, tmp_path):
         assert seat(again, "Grace").number == 2
         assert other.resume() == 0  # another class
         again._kept.write_text('{"form": "servogym class 1", "places": [{}]}')
-        with pytest.raises(ValueError, match="is not a class that was kept"):
+        with pytest.raises(ValueError, match="is not a stored class"):
             Classroom(make, "linear", "generic", most=3, results=tmp_path, word=WORD).resume()
     finally:
         again.end()

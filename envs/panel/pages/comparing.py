@@ -8,7 +8,7 @@ from .desk import Desk, Refusal, refuse
 from .widgets import button, card, div, file_button, hexadecimal, note, sure, table
 
 FACTORY, FILE = "factory", "file"
-COLUMNS = ("object", "name", "drive", FACTORY, FILE)
+COLUMNS = ("object", "drive", FACTORY, FILE)
 
 
 class CompareCard:
@@ -77,6 +77,6 @@ def _row(each: Difference) -> dict[str, str]:
         return "–" if value is None else f"{value:.10g} {hexadecimal(value, each.row)}".strip()
 
     return {
-        "object": each.row.address, "name": each.row.name.replace("_", " "),
+        "object": f"{each.row.address} {each.row.name.replace('_', ' ')}",
         "drive": shown(each.node), FACTORY: shown(each.factory), FILE: shown(each.file),
     }
