@@ -15,7 +15,7 @@ from ...drive.diagrams import Mode
 from ...drive.master import DriveFault, Master, NoPower, Refused, ServoError, Units
 from ...drive.master.port import Port
 from ...drive.model.model import DriveModel
-from ...drive.model.rows import Object
+from ...drive.model.rows import Object, quantity
 from ...drive.objects.abort import SdoAbort
 from .control import Control
 from .log import Event, Log
@@ -195,6 +195,18 @@ class Bench:
     def acceleration(self, axis: str) -> float:
         """The size of an acceleration unit at the load, m/s² or rad/s²; 0 if it is unknown."""
         return 0.0
+
+    def physical(self, axis: str, row: Object) -> tuple[float, str]:
+        """Factor from drive units of an object to a display unit, and that unit; 0 if unknown."""
+        (unit, scale), units = self.unit(axis), self.units(axis)
+        if unit == "units":
+            return 0.0, ""
+        return {
+            "position": (units.position * scale, unit),
+            "velocity": (units.velocity * scale, f"{unit}/s"),
+            "acceleration": (self.acceleration(axis) * scale, f"{unit}/s²"),
+            "torque": (0.1, "% rated"),
+        }.get(quantity(row.unit), (0.0, ""))
 
     # --------------------------------------------------------------------- channels
 

@@ -9,10 +9,8 @@ Pupils enter and leave one at a time (`_door`). `places` is replaced and never c
 another thread that iterates over it sees the places of one instant.
 """
 
-import csv
 import hashlib
 import hmac
-import io
 import json
 import os
 import re
@@ -27,7 +25,7 @@ from typing import Any, NamedTuple
 from ..course.exercise import Exercise
 from . import journal, lessons
 from .clock import Clock
-from .log import plain
+from .log import plain, table
 from .session import Session
 
 MOST = 24
@@ -312,10 +310,10 @@ class Classroom:
             found = journal.outcome(self.kind, self.drive, pupil.axis, pupil.attempt, pupil.journal)
             text = json.dumps({"pupil": place.name, "ended": place.results[-1].ended} | found)
             (self._files / run).write_text(text, encoding="utf-8")
-            table = self._files / "results.csv"
-            new = not table.exists()
-            with table.open("a", newline="", encoding="utf-8") as file:
-                file.write(_rows(place.results[-1:], head=new))
+            path = self._files / "results.csv"
+            head = not path.exists()
+            with path.open("a", newline="", encoding="utf-8") as file:
+                file.write(_rows(place.results[-1:], head=head))
             self._keep()
 
     def csv(self) -> str:
@@ -344,13 +342,10 @@ def _slug(name: str) -> str:
 
 
 def _rows(results: Iterable[Result], *, head: bool) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text)
-    if head:
-        writer.writerow([name.replace("_", " ") for name in Result._fields])
-    for result in results:
-        writer.writerow([plain(each) if isinstance(each, str) else each for each in result])
-    return text.getvalue()
+    heading = [[name.replace("_", " ") for name in Result._fields]] if head else []
+    return table(heading + [
+        [plain(each) if isinstance(each, str) else each for each in result] for result in results
+    ])
 
 
 def _given(session: Any, exercise: Exercise) -> None:

@@ -16,7 +16,6 @@ class Control:
 
     def __init__(self) -> None:
         self.holder: str | None = None
-        self.takeovers = 0
         self.window = ""  # name of the tab that has sent the present request
         self.named: dict[str, str] = {}  # names by tab
         self._alive: float | None = None  # time of the holder's last beat (s), if any
@@ -27,8 +26,6 @@ class Control:
 
     def take(self, tab: str) -> None:
         """Take the seat; its former holder only watches from now on."""
-        if self.holder not in (None, tab):
-            self.takeovers += 1
         if self.holder != tab:
             self._alive = None
         self.holder = tab

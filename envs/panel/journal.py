@@ -8,6 +8,7 @@ kind, the same actions at the same cycles cause the same motion, bit for bit, an
 import base64
 import json
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -102,69 +103,45 @@ def read(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"{path} is not a run of an exercise: {error}") from None
 
 
-class Player:
-    """Plays a run on a fresh machine, exchange by exchange.
+def play(
+    run: Mapping[str, Any], exercise: Exercise,
+    tell: Callable[[float, str], object] = lambda time, text: None,
+) -> Attempt:
+    """Replay a run on a fresh machine, exchange by exchange; -> the attempt.
 
     Args:
-        run: as `read` gives it.
-        exercise: that it names.
+        run: the run, as `read` returns it.
+        exercise: the exercise that it names.
+        tell: receives the time (s) and a description of each action.
 
     Raises:
-        ValueError: the machine is not of that kind.
+        ValueError: there is no such machine.
     """
-
-    def __init__(self, run: Mapping[str, Any], exercise: Exercise):
-        self.run = run
-        self.machine = fresh(str(run["machine"]), str(run["drive"]))
-        self.attempt = Attempt(exercise, self.machine, str(run["axis"]))
-        self.cycle = 0
-        self._events = list(reversed(run["events"]))
-        self._cycles = 1
-
-    @property
-    def over(self) -> bool:
-        """Whether the whole run was played."""
-        return self.cycle >= int(self.run["cycles"])
-
-    def due(self) -> list[str]:
-        """Repeat the actions of this cycle; -> a description."""
-        said = []
-        while self._events and self._events[-1][0] <= self.cycle:
-            _, what, *arguments = self._events.pop()
+    machine = fresh(str(run["machine"]), str(run["drive"]))
+    attempt = Attempt(exercise, machine, str(run["axis"]))
+    cycle, exchange, last = 0, 1, int(run["cycles"])
+    events = deque(run["events"])
+    while True:
+        while events and events[0][0] <= cycle:
+            _, what, *arguments = events.popleft()
             if what == CYCLES:
-                self._cycles = int(arguments[0])
+                exchange = int(arguments[0])
                 continue
-            said.append(f"{what} {', '.join(map(str, arguments))}")
+            said = f"{what} {', '.join(map(str, arguments))}"
             try:
                 if what in ACTS:
-                    ACTS[what](self.machine, *arguments)
+                    ACTS[what](machine, *arguments)
                 else:
-                    ANSWERS[what](self.attempt, *arguments)
-            except (SdoAbort, ValueError, TypeError) as error:  # as it was then
-                said[-1] += f": {error}"
-        return said
-
-    @property
-    def next(self) -> int:
-        """The number of position cycles of the next exchange."""
-        return max(min(self._cycles, int(self.run["cycles"]) - self.cycle), 1)
-
-    def passed(self, cycles: int) -> None:
-        """Judge the cycles that have passed on the machine."""
-        self.cycle += cycles
-        self.attempt.look()
-
-    def play(self, tell: Callable[[float, str], object] = lambda time, text: None) -> Attempt:
-        """All of it at once; -> the attempt. `tell` is given time (s) and words of each act."""
-        while not self.over:
-            for said in self.due():
-                tell(self.cycle * self.machine.cycle_time, said)
-            cycles = self.next
-            self.machine.step(cycles)
-            self.passed(cycles)
-        for said in self.due():
-            tell(self.cycle * self.machine.cycle_time, said)
-        return self.attempt
+                    ANSWERS[what](attempt, *arguments)
+            except (SdoAbort, ValueError, TypeError) as error:  # refused as in the run
+                said += f": {error}"
+            tell(cycle * machine.cycle_time, said)
+        if cycle >= last:
+            return attempt
+        passed = max(min(exchange, last - cycle), 1)
+        machine.step(passed)
+        cycle += passed
+        attempt.look()
 
 
 def same(run: Mapping[str, Any], attempt: Attempt) -> bool:

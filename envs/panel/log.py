@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 KEPT = 5000  # events
@@ -37,13 +38,19 @@ class Log:
 
     def csv(self) -> str:
         """All events as a table."""
-        text = io.StringIO()
-        writer = csv.writer(text)
-        writer.writerow(["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"])
-        for e in self.events:
-            row = (e.axis, e.window, e.text, e.reason, e.remedy)
-            writer.writerow([e.number, f"{e.time:.4f}", e.kind, *map(plain, row)])
-        return text.getvalue()
+        heading = ["number", "time (s)", "kind", "axis", "by", "event", "reason", "remedy"]
+        return table([heading, *(
+            (e.number, f"{e.time:.4f}", e.kind,
+             *map(plain, (e.axis, e.window, e.text, e.reason, e.remedy)))
+            for e in self.events
+        )])
+
+
+def table(rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as the text of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text).writerows(rows)
+    return text.getvalue()
 
 
 def plain(text: str) -> str:

@@ -4,8 +4,6 @@ The ring buffer holds the last samples at the full rate. A page gets a window of
 number of points: the smallest and the largest value of each stretch, so that no peak is lost.
 """
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -13,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...drive.trace import Edge, Trigger, Watch
+from .log import table
 
 MOST_CHANNELS = 8
 DEPTH = 120_000  # samples: two minutes at 1 kHz, 7.7 MB with all channels
@@ -253,12 +252,11 @@ class Recorder:
             shown: by channel, a factor for its values and the resulting unit.
         """
         times, values = self._latest() if self._captured is None else self._captured
-        text = io.StringIO()
-        writer = csv.writer(text)
         kept = {name: (1.0, unit) for name, unit in self.units.items()} | dict(shown or {})
-        units = (f"{n} ({kept[n][1]})" if kept[n][1] else n for n in self.channels)
-        values = values * np.array([[kept[name][0]] for name in self.channels])
-        writer.writerow(["time (s)", *units])
-        for time, column in zip(times.tolist(), values.T.tolist(), strict=True):
-            writer.writerow([f"{time:.6f}", *(f"{value:.9g}" for value in column)])
-        return text.getvalue()
+        factors = np.array([[kept[name][0]] for name in self.channels])
+        units = (f"{name} ({kept[name][1]})" if kept[name][1] else name for name in self.channels)
+        samples = zip(times.tolist(), (values * factors).T.tolist(), strict=True)
+        return table([
+            ["time (s)", *units],
+            *([f"{time:.6f}", *(f"{value:.9g}" for value in column)] for time, column in samples),
+        ])

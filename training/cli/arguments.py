@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from ...envs.panel.session import Session
     from ..scale.work import Work
     from ..setup import Setup
 
@@ -160,6 +161,17 @@ def page(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {
         "host": options.host, "port": options.port, "browser": not options.no_browser, "tell": tell
     }
+
+
+def offer_policies(session: "Session", axis: str, *, shipped_only: bool = False) -> None:
+    """Offer the policies of the task that fits a machine of the catalogue, if there is one."""
+    from ...envs.tasks import fitting
+    from ..policies.takeover import Laboratory
+
+    if axis in fitting.FITTING:
+        session.laboratory = Laboratory(lambda _: fitting.FITTING[axis], shipped_only=shipped_only)
+    else:
+        session.no_policies = fitting.NONE[axis]
 
 
 MODELS = ("drive", "model")  # options that name drive models

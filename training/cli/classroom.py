@@ -30,20 +30,13 @@ def _classroom(options: argparse.Namespace, console: Console) -> int:
     from ...envs.panel.classroom import Classroom
     from ...envs.panel.session import Session
     from ...envs.plants.catalogue import fresh
-    from ...envs.tasks import fitting
-    from ..policies.takeover import Laboratory
 
     served = arguments.page(options, console)
     title = options.axis.replace("-", " ")
 
     def make(cycles: int) -> Session:
         session = Session(fresh(options.axis, options.drive), title, cycles)
-        if options.axis in fitting.FITTING:
-            session.laboratory = Laboratory(
-                lambda axis: fitting.FITTING[options.axis], shipped_only=True
-            )
-        else:
-            session.no_policies = fitting.NONE[options.axis]
+        arguments.offer_policies(session, options.axis, shipped_only=True)
         return session
 
     lessons = load_all(options.lessons or SHIPPED)

@@ -82,7 +82,7 @@ def _replay(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
         run = journal.read(file)
         exercise = named(str(run["exercise"]), options.lessons or SHIPPED)
         tell(f"{file}: {run.get('pupil', 'somebody')}, {exercise.title}")
-        attempt = journal.Player(run, exercise).play(lambda at, said: tell(f"{at:9.3f} s  {said}"))
+        attempt = journal.play(run, exercise, lambda at, said: tell(f"{at:9.3f} s  {said}"))
         report = attempt.report
         became = "done" if report.done else report.wrong or f"left at step {report.step + 1}"
         same = journal.same(run, attempt)

@@ -156,9 +156,7 @@ def _panel(options: argparse.Namespace, console: Console) -> int:
     if options.mjcf is not None:
         mjcf = options.mjcf
         session.laboratory = Laboratory(lambda axis: fitting.robot(mjcf, machine, axis))
-    elif options.axis in fitting.FITTING:
-        session.laboratory = Laboratory(lambda axis: fitting.FITTING[options.axis])
     else:
-        session.no_policies = fitting.NONE[options.axis]
+        arguments.offer_policies(session, options.axis)
     server.serve(session, **served)
     return 0

@@ -10,7 +10,6 @@ from nicegui import ui
 
 from ....drive.master import ServoError
 from ....drive.objects.abort import SdoAbort
-from ...engine.machine import Machine
 from ..bench import ENDED, Bench, words
 from ..clock import Clock
 
@@ -53,11 +52,6 @@ class Desk:
     def bench(self) -> Bench:
         """The bench, for constants such as models and units."""
         return self.clock.session
-
-    @property
-    def machine(self) -> Machine:
-        """The machine, for pages that need one in this process."""
-        return self.clock.session.machine
 
     @property
     def in_control(self) -> bool:

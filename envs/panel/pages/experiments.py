@@ -45,7 +45,7 @@ class ExperimentsPage:
     # --------------------------------------------------------- what can be done
 
     def _faults(self) -> None:
-        causes = self.desk.machine.drives[self.desk.axis].injectable
+        causes = self.desk.bench.machine.drives[self.desk.axis].injectable
         first = [cause for cause in CAUSES if cause in causes]
         with card("Faults"):
             with div("cluster"):
@@ -221,4 +221,4 @@ class ExperimentsPage:
             self.kept.clear()
             with self.kept:
                 for name in names:
-                    button(f"Back to {name}", lambda _, name=name: self._back(name), f"back-{name}")
+                    button(f"Back to {name}", partial(self._back, name), f"back-{name}")

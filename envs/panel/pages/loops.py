@@ -139,19 +139,16 @@ class LoopsPage:
 
     async def _take(self, shown: str) -> None:
         async with self._taking:  # two presses take over once
-            if self.tuned is not None and shown == self.take.text:
-                await self._take_or_put_back(self.tuned)
-
-    async def _take_or_put_back(self, tuned: Tuned) -> None:
-        axis, taken, gains = self.desk.axis, None, self.taken
-        if gains is None:
-            taken = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
-            gains = tuned.objects
-        words = await self.desk.command(lambda s: s.commission(axis, gains))
-        refuse(words)
-        if words:
-            return
-        self.taken = taken
+            tuned, gains, taken, axis = self.tuned, self.taken, None, self.desk.axis
+            if tuned is None or shown != self.take.text:
+                return
+            if gains is None:
+                gains = tuned.objects
+                taken = await self.desk.ask(lambda s: s.gains(axis, tuned.objects))
+            if words := await self.desk.command(lambda s: s.commission(axis, gains)):
+                refuse(words)
+                return
+            self.taken = taken
         self.verdict.set_text(
             "The drive has the gains; 1010h stores them." if taken
             else "The drive has the gains it had before."

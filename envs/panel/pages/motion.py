@@ -10,7 +10,6 @@ from ....drive.model.rows import Object
 from .desk import Desk, refuse
 from .homing_diagram import homing_svg
 from .set_points import SetPointCard
-from .units import physical
 from .widgets import Entry, Readout, Tag, box, button, card, div, formatted, live, note
 
 # objects that shape a motion, by kind; those that a model does not have are left out
@@ -116,9 +115,8 @@ class MotionPage:
             with div("cluster"):
                 button("Move to", lambda: self.target.apply(), "move-to", "main")
                 button("Move by", self._move_by, "move-by")
-                button("Stop", lambda: self.desk.halt("stop", self.desk.axis), "stop").props(
-                    "title='Every window may stop. The axis keeps its power.'"
-                )
+                button("Stop", lambda: self.desk.halt("stop", self.desk.axis), "stop",
+                       props="title='Every window may stop. The axis keeps its power.'")
 
     def _jog(self) -> None:
         with card("Jog"):
@@ -277,7 +275,7 @@ class _Parameter:
 
     def __init__(self, desk: Desk, row: Object):
         self.desk, self.name = desk, row.name
-        self.factor, self.unit = physical(desk.bench, desk.axis, row)
+        self.factor, self.unit = desk.bench.physical(desk.axis, row)
         self.address = row.address
         words = row.name.replace("_", " ")
         with div("parameter"):

@@ -142,7 +142,7 @@ class ObjectsPage:
     async def _save(self) -> None:
         axis = self.desk.axis
         content = await self.desk.ask(lambda session: session.save_parameters(axis))
-        model = self.desk.machine.drives[axis].model.name
+        model = self.desk.bench.model(axis).name
         ui.download.content(content, f"{model}_{axis}.json", "application/json")
 
     async def _load(self, event: events.UploadEventArguments) -> None:

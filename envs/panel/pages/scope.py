@@ -13,7 +13,6 @@ from ....drive.trace import Edge, Trigger
 from ..bench import Bench
 from ..recorder import MOST_CHANNELS, Run, Window
 from .desk import Desk
-from .units import physical
 from .widgets import Entry, Tag, box, button, card, div, file_button, note, toggle
 
 STATIC = Path(__file__).parents[1] / "static"
@@ -61,9 +60,8 @@ class ScopePage:
                 if desk.bench.beside is not None:
                     with card("Twin"), div("cluster"):
                         self.twin = Tag("span", "", data_test="twin-state").classes("prose")
-                        button("Align", self._align, "align-twin").props(
-                            'title="Place the twin where the axis stands, in its mode"'
-                        )
+                        button("Align", lambda: desk.do(lambda s: s.beside.align()), "align-twin",
+                               props='title="Place the twin where the axis stands, in its mode"')
                 with card("Set-up"), div("cluster"):
                     button("Save …", self._save, "save-set-up")
                     file_button("Load …", self._load, "load-set-up")
@@ -72,7 +70,10 @@ class ScopePage:
     def _plot(self) -> None:
         with div("cluster scope-bar"):
             self.state = note("", "scope-state", "chip")
-            self.freeze = button("Freeze", self._freeze, "freeze", "main")
+            self.freeze = button(
+                "Freeze", lambda: self.desk.do(lambda s: s.scope.freeze(not s.scope.frozen)),
+                "freeze", "main",
+            )
             button("Zoom out", lambda: self.plot.run_method("unzoom"))
             button("Cursor A", lambda: self.plot.run_method("mark", "a"))
             button("Cursor B", lambda: self.plot.run_method("mark", "b"))
@@ -129,7 +130,7 @@ class ScopePage:
         bench = self.desk.bench
         axis, name = bench.found(channel)
         row = next((row for row in bench.rows(axis) if row.name == name), None)
-        factor, unit = physical(bench, axis, row) if self.physical.value and row else (0.0, "")
+        factor, unit = bench.physical(axis, row) if self.physical.value and row else (0.0, "")
         return (factor, unit) if factor else (1.0, bench.unit_of(channel))
 
     def _units(self) -> None:
@@ -189,12 +190,6 @@ class ScopePage:
             scope.set_window(scope.span if span is None else span, ahead)
 
         return await self.desk.command(set_window)
-
-    async def _freeze(self) -> None:
-        await self.desk.do(lambda session: session.scope.freeze(not session.scope.frozen))
-
-    async def _align(self) -> None:
-        await self.desk.do(lambda session: session.beside.align())
 
     async def _csv(self) -> None:
         shown = {name: self._shown(name) for name in self.channels}

@@ -3,7 +3,6 @@
 import inspect
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from nicegui import app, ui
@@ -36,11 +35,11 @@ from .widgets import (
     live,
     note,
     pending,
+    styled,
     toggle,
     two_sided,
 )
 
-STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 MODES = {int(mode): name for mode, name in MODE_ABBREVIATION.items()} | {0: "no mode"}
 SPEEDS = (0.1, 0.25, 0.5, 1, 2, 5, 10)
 SHOW = """const texts = %s;
@@ -88,8 +87,7 @@ class Shell:
         self.desk = Desk(clock, tab)
         axis = kept.get("axis")
         self.desk.axis = axis if axis in clock.session.axes else self.desk.axis
-        ui.add_css(STYLE.read_text(encoding="utf-8"))
-        self.dark = ui.dark_mode(kept.get("dark", False))
+        self.dark = styled(kept.get("dark", False))
         self._header()
         self._kinds = {page.name: page for page in pages}
         self.pages: dict[str, Any] = {}
@@ -135,7 +133,7 @@ class Shell:
             self.banner_text = ui.label("")
         with div("agent-banner", "agent") as self.agent:
             self.agent_text = ui.label("")
-            button("Take back", self._take_back, "take-back", "main")
+            button("Take back", lambda: self.desk.do(lambda s: s.release()), "take-back", "main")
         with div("lesson-banner", "lesson-now") as self.task:
             self.task_text = ui.label("")
 
@@ -236,9 +234,6 @@ class Shell:
         said = f"{type(error).__name__}: {in_words(error)}"
         await self.desk.ask(lambda session: session.tell("alarm", f"an error of the panel: {said}"))
 
-    async def _take_back(self) -> None:
-        await self.desk.do(lambda session: session.release())
-
     async def _always(self, event: Any) -> None:
         """Keys that work in a field, too: the end of jogging."""
         if (event.key.arrow_left or event.key.arrow_right) and event.action.keyup:
@@ -269,25 +264,44 @@ class Shell:
 
     async def show(self) -> None:
         """Show the present state."""
-        shown, seen, clock = self.desk.shown, self.desk.status, self.clock
+        self._show_drive()
+        self._show_banners()
+        self._show_time()
+        self._messages(self.desk.shown["messages"])
+        result = self.pages[self.present].show()
+        if inspect.isawaitable(result):
+            await result
+        texts = json.dumps(pending(ui.context.client.id))
+        try:  # a slow browser gets fewer pictures, not older ones
+            await ui.run_javascript(SHOW % texts, timeout=GONE if self.desk.jogging else SLOWEST)
+            self.desk.beat()
+        except TimeoutError:
+            await self._rest()  # the key may have been released meanwhile
+
+    def _show_drive(self) -> None:
+        """Show the state of the axis of this tab in the header."""
+        seen = self.desk.status
         state = State(seen["state"]) if seen["state"] >= 0 else None
         name = state.name.replace("_", " ").lower() if state is not None else "state not known"
-        kind = KINDS.get(state, "calm")
+        kind = KINDS.get(state, "calm") if state is not None else "calm"
         if not seen.get("answers", True):
             name, kind = "no answer", "bad"
         self.state.set_text(name)
         for each in ("good", "bad", "calm"):
             lit(self.state, each, each == kind)
         self.mode.set_text(MODES.get(seen["mode"], f"mode {seen['mode']}"))
-        unit, _ = clock.session.unit(self.desk.axis)
+        unit, _ = self.desk.bench.unit(self.desk.axis)
         self.position.show(formatted(seen["position"], 0 if unit == "units" else 3), unit)
-        self.doing.set_text(seen["fault"] or shown["doing"])
-        holds, holder = self.desk.in_control, shown["holder"]
+        self.doing.set_text(seen["fault"] or self.desk.shown["doing"])
+
+    def _show_banners(self) -> None:
+        """Show who commands: a window or an agent; and the present step of an exercise."""
+        shown, holds = self.desk.shown, self.desk.in_control
         self.seat.set_text("In control" if holds else TAKE_CONTROL)
         lit(self.seat, "held", holds)
         self.banner.set_visibility(not holds)
         self.banner_text.set_text(
-            "Another window has control; this one watches." if holder
+            "Another window has control; this one watches." if shown["holder"]
             else "Nobody has control; this window watches."
         )
         self.agent.set_visibility(bool(shown["agent"]))
@@ -301,20 +315,14 @@ class Shell:
             if lesson.wrong:
                 now = f"{lesson.wrong} Begin again on the page Lessons."
             self.task_text.set_text(f"{lesson.title} · {now}")
+
+    def _show_time(self) -> None:
+        """Show the speed of time."""
+        clock = self.clock
         self.pause.props(f"icon={GO_ON if clock.paused else PAUSE}")
         self.speed.set_value(clock.speed)
         pulse = "paused" if clock.paused else f"{formatted(clock.achieved, 2)}× real time"
         live(self.measured, self.desk.bench.pulse() or pulse)
-        self._messages(shown["messages"])
-        result = self.pages[self.present].show()
-        if inspect.isawaitable(result):
-            await result
-        texts = json.dumps(pending(ui.context.client.id))
-        try:  # a slow browser gets fewer pictures, not older ones
-            await ui.run_javascript(SHOW % texts, timeout=GONE if self.desk.jogging else SLOWEST)
-            self.desk.beat()
-        except TimeoutError:
-            await self._rest()  # the key may have been released meanwhile
 
     def _messages(self, events: list[Event]) -> None:
         for event in events:

@@ -1,6 +1,5 @@
 """The teacher's wall: all places of a classroom live, tasks, results, a look at each place."""
 
-from pathlib import Path
 from typing import Any
 
 from nicegui import Client, run, ui
@@ -8,9 +7,8 @@ from nicegui import Client, run, ui
 from ....drive.diagrams import State, mode_words
 from ..classroom import Classroom, Place
 from ..guard import PERSON
-from .widgets import DARK_OR_LIGHT, Tag, box, button, card, div, formatted, lit, sure
+from .widgets import DARK_OR_LIGHT, Tag, box, button, card, div, formatted, lit, styled, sure
 
-STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 EVERY = 0.5  # s between two pictures
 FREE = "free practice"
 KINDS = {State.OPERATION_ENABLED: "good", State.FAULT: "bad", State.FAULT_REACTION_ACTIVE: "bad"}
@@ -107,8 +105,7 @@ class Wall:
     def __init__(self, room: Classroom, address: str):
         self.room = room
         self.cards: dict[int, PlaceCard] = {}
-        ui.add_css(STYLE.read_text(encoding="utf-8"))
-        self.dark = ui.dark_mode(False)
+        self.dark = styled()
         titles = {each.name: each.title for each in room.exercises}
         with ui.element("header").classes("top wall-top"):
             with div("brand"):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Awaitable, Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from nicegui import ui
@@ -14,8 +15,15 @@ from ..guard import LARGEST
 from .desk import over, refuse
 
 DARK_OR_LIGHT = "icon=contrast aria-label='Dark or light'"  # properties of that button
+STYLE = Path(__file__).parents[1] / "static" / "panel.css"
 _PENDING: dict[str, dict[str, str]] = {}
 Made = TypeVar("Made", bound=Element)
+
+
+def styled(dark: bool = False) -> ui.dark_mode:
+    """Give a tab the style of the panel; -> its theme."""
+    ui.add_css(STYLE.read_text(encoding="utf-8"))
+    return ui.dark_mode(dark)
 
 
 def named(made: Made, test: str) -> Made:
