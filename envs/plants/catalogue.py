@@ -1,4 +1,4 @@
-"""Machines by name, ready to be served on a field bus: their code is compiled beforehand."""
+"""Machines by name, from an MJCF or from a twin, ready to be served: their code is compiled."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -16,22 +16,31 @@ from ...drive.model.model import DriveModel, load
 from ...drive.model.names import hint
 from ..engine.machine import Machine
 from . import twins
+from .axis_parameters import FAMILY
+from .commissioning import commission_joint
 from .gantry import gantry
 from .linear_axis import linear_axis
 from .rotary import rotary_axis
+from .rotary_parameters import ROTARY_FAMILY
 
 # builders of machines, by the names that a twin stores
 BUILDERS: Mapping[str, Callable[..., Machine]] = {
     "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
 }
-# machine by name, and the positions of its axes at power-on (m)
+# factories by the name of the mechanics, for commands that size, measure and tune
+FACTORIES: dict[str, partial[Machine]] = {
+    **{name: partial(linear_axis, mechanics=name) for name in FAMILY},
+    **{name: partial(rotary_axis, mechanics=name) for name in ROTARY_FAMILY},
+    "gantry": partial(gantry), "gantry-x1x2": partial(gantry, x_drives=2),
+}
+# machines to operate, and the positions of their axes at power-on (m)
 AXES: dict[str, tuple[Callable[..., Machine], dict[str, float]]] = {
     "linear": (linear_axis, {"x": 0.12}),
     "vertical": (partial(linear_axis, inclination=90, brake_torque=4.0), {"x": 0.12}),
     "rotary-table": (rotary_axis, {"x": 0.5}),  # rad
-    "conveyor": (partial(rotary_axis, mechanics="conveyor"), {"x": 0.5}),
-    "gantry": (gantry, {"x": 0.1, "y": 0.1, "z": -0.1}),
-    "gantry-x1x2": (partial(gantry, x_drives=2), {"x1": 0.1, "x2": 0.101, "y": 0.1, "z": -0.1}),
+    "conveyor": (FACTORIES["conveyor"], {"x": 0.5}),
+    "gantry": (FACTORIES["gantry"], {"x": 0.1, "y": 0.1, "z": -0.1}),
+    "gantry-x1x2": (FACTORIES["gantry-x1x2"], {"x1": 0.1, "x2": 0.101, "y": 0.1, "z": -0.1}),
 }
 
 
@@ -123,6 +132,20 @@ def fresh(axis: str, drive: str = "generic", what: str = "axis") -> Machine:
     make, places = AXES[axis]
     machine = make(drive)
     power_on(machine, places)
+    return machine
+
+
+def of_mjcf(
+    file: str | Path, joints: Sequence[str], drive: str | Path | DriveModel,
+    gears: Mapping[str, float] | None = None,
+) -> Machine:
+    """A machine from an MJCF with a commissioned drive at each of these joints.
+
+    Raises ValueError as `Machine.from_mjcf` and `commission_joint` do.
+    """
+    machine = Machine.from_mjcf(file, dict.fromkeys(joints, drive), gears=gears or {})
+    for joint in joints:
+        commission_joint(machine, joint)
     return machine
 
 

@@ -1,29 +1,19 @@
 """Options for a machine by name or from a file, which commands share; `servogym machines`."""
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from ...envs import (
-    FAMILY,
-    ROTARY_FAMILY,
-    Machine,
-    commission_joint,
-    gantry,
-    linear_axis,
-    rotary_axis,
-)
+from ...envs.engine.machine import Machine
 from ...envs.engine.mjcf_reading import read
+from ...envs.plants.catalogue import FACTORIES, of_mjcf, of_twin
 from . import arguments
 from .arguments import FINITE, option
 
-GANTRIES: dict[str, dict[str, Any]] = {"gantry": {}, "gantry-x1x2": {"x_drives": 2}}
 OPTIONS = ("drive", "mechanics", "parameters", "parameter_file", "twin")
-NAMES = [*FAMILY, *ROTARY_FAMILY, *GANTRIES]
 
 
 def add_machines(machines: argparse.ArgumentParser) -> None:
@@ -44,7 +34,7 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
         raise ValueError("--parameter-file, --axis and --at need a machine: name one first")
     table = Table(box=None, padding=(0, 1, 0, 0))  # 80 columns are few for ten quantities
     refused = []
-    for name in NAMES:
+    for name in FACTORIES:
         options.machine = name
         try:
             machine, _ = made(options)
@@ -69,7 +59,7 @@ def _machines(options: argparse.Namespace, console: Console) -> int:
 
 def add(parser: argparse.ArgumentParser, others: str = "") -> None:
     """Add options for machine, drive and position; `others` names alternatives to a machine."""
-    option(parser, "machine", str, f"{', '.join(NAMES)}, {'' if others else 'or '}an MJCF file"
+    option(parser, "machine", str, f"{', '.join(FACTORIES)}, {'' if others else 'or '}an MJCF file"
            f"{others and ', '}{others}", "rigid", nargs="?")
     arguments.add_drive(parser)
     option(parser, "--axis", str, "drive of the machine (the first), or joint of an MJCF")
@@ -99,10 +89,10 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     Raises:
         ValueError: an unknown machine, parameter or axis.
     """
-    mjcf = options.twin is None and options.machine not in NAMES
+    mjcf = options.twin is None and options.machine not in FACTORIES
     if options.gear is not None and not mjcf:
         raise ValueError("--gear applies to an MJCF; the built-in machines have feed_constant")
-    machine = _machine(options) if options.twin is None else _of_twin(options)
+    machine = _machine(options)
     name = options.axis or next(iter(machine.drives))
     if name not in machine.drives:
         raise ValueError(f"--axis = {name!r}: the machine has {', '.join(machine.drives)}")
@@ -113,14 +103,6 @@ def made(options: argparse.Namespace) -> tuple[Machine, str]:
     elif not mjcf:
         machine.reset(positions=_middles(machine))
     return machine, name
-
-
-def _of_twin(options: argparse.Namespace) -> Machine:
-    from ...envs.plants.catalogue import of_twin
-
-    if options.set or options.machine not in (None, "rigid"):
-        raise ValueError("--twin is a machine by itself: leave out --set and the machine's name")
-    return of_twin(options.twin, None if options.drive == "generic" else options.drive)
 
 
 def _middles(machine: Machine) -> dict[str, float]:
@@ -134,19 +116,18 @@ def _middles(machine: Machine) -> dict[str, float]:
 
 def _machine(options: argparse.Namespace) -> Machine:
     name, values = options.machine, dict(options.set)
-    makers: dict[str, Callable[..., Machine]] = {
-        **dict.fromkeys(FAMILY, linear_axis), **dict.fromkeys(ROTARY_FAMILY, rotary_axis),
-        **dict.fromkeys(GANTRIES, gantry),
-    }
-    if name in makers:
-        given = GANTRIES.get(name, {"mechanics": name})
-        if taken := values.keys() & {*given, *OPTIONS}:
+    if options.twin is not None:
+        if values or name not in (None, "rigid"):
+            raise ValueError("--twin is a machine by itself: omit --set and the machine's name")
+        return of_twin(options.twin, None if options.drive == "generic" else options.drive)
+    if name in FACTORIES:
+        if taken := values.keys() & {*FACTORIES[name].keywords, *OPTIONS}:
             raise ValueError(
-                f"--set {min(taken)}: the machine's name, --drive, --parameter-file, --twin say it"
+                f"--set {min(taken)}: use the machine's name, --drive, --parameter-file or --twin"
             )
-        return makers[name](options.drive, **given, **values)
+        return FACTORIES[name](options.drive, **values)
     if not Path(name).is_file():
-        raise ValueError(f"machine {name!r} is unknown: {', '.join(NAMES)}, or an MJCF file")
+        raise ValueError(f"machine {name!r} is unknown: {', '.join(FACTORIES)}, or an MJCF file")
     if values:
         raise ValueError("--set is for the machines of the laboratory; edit the MJCF instead")
     if not options.axis:
@@ -155,6 +136,4 @@ def _machine(options: argparse.Namespace) -> Machine:
             f"{name}: name the joint that gets the drive with --axis: it has {joints or 'none'}"
         )
     gears = {} if options.gear is None else {options.axis: options.gear}
-    machine = Machine.from_mjcf(name, {options.axis: options.drive}, gears=gears)
-    commission_joint(machine, options.axis)
-    return machine
+    return of_mjcf(name, [options.axis], options.drive, gears)

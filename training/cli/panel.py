@@ -48,9 +48,7 @@ def add(panel: argparse.ArgumentParser) -> None:
 
 def _machine(options: argparse.Namespace) -> "Machine":
     """Make the machine: one of the catalogue, or a robot."""
-    from ...envs.engine.machine import Machine
-    from ...envs.plants.catalogue import AXES, fresh
-    from ...envs.plants.commissioning import commission_joint
+    from ...envs.plants.catalogue import AXES, fresh, of_mjcf
 
     if options.mjcf is None:
         if options.joint:
@@ -62,10 +60,7 @@ def _machine(options: argparse.Namespace) -> "Machine":
             raise ValueError(f"--axis {options.axis} and --mjcf are two machines: give one of them")
         if not options.joint:
             raise ValueError("--mjcf needs --joint NAME for each joint that gets a drive")
-        machine = Machine.from_mjcf(options.mjcf, dict.fromkeys(options.joint, options.drive))
-        for joint in options.joint:
-            commission_joint(machine, joint)
-        places = {}
+        machine, places = of_mjcf(options.mjcf, options.joint, options.drive), {}
     if options.parameter_file is not None:
         if len(machine.drives) > 1:
             raise ValueError("--parameter-file is for one axis, this machine has several")

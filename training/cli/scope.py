@@ -95,7 +95,7 @@ def _scope(options: argparse.Namespace, console: Console) -> int:
 
     if options.machine == BUS:
         recording, said, during = _of_node(options)
-    elif options.machine not in machines.NAMES and Path(options.machine).suffix != ".xml":
+    elif options.machine not in machines.FACTORIES and Path(options.machine).suffix != ".xml":
         buses.refuse(options, ONLY_OF_A_BUS, "rate", "duration")
         recording, said, during = _of_log(options)
     else:
@@ -144,7 +144,7 @@ def _of_log(options: argparse.Namespace):
 
     log = Path(options.machine)
     if not log.is_file():
-        known = f"{', '.join(machines.NAMES)}, an MJCF file, {BUS}, or a log"
+        known = f"{', '.join(machines.FACTORIES)}, an MJCF file, {BUS}, or a log"
         raise ValueError(
             f"machine {options.machine!r} is unknown, and there is no such file: choose "
             f"one of {known}"
