@@ -55,7 +55,7 @@ class ParallelTwin:
             raise ValueError(f"the twin's joint is in {ours}, axis {axis} in {theirs}")
         self.due = True  # it waits to be placed where the axis stands
         self._time: float = bench.time
-        self._told: dict[str, float] = {}
+        self._sent: dict[str, float] = {}
         self._refused: set[str] = set()
         self._parameters: dict[str, float | None] = {}  # last values of the axis's drive
         self._mark = -math.inf, math.nan  # time (s), and the position then
@@ -105,8 +105,8 @@ class ParallelTwin:
         """Repeat the commands that a policy has sent to the drive by PDO."""
         for name in COMMANDS:
             value = self._of(name)
-            if value is not None and value != self._told.get(name):
-                self._told[name] = value
+            if value is not None and value != self._sent.get(name):
+                self._sent[name] = value
                 self.repeat(name, value)
 
     def watch_parameters(self) -> None:
@@ -185,7 +185,7 @@ class ParallelTwin:
         self._place(position * self._size)
         for name in COMMANDS[1:-1]:
             if (value := self._of(name)) is not None:
-                self._told[name] = value
+                self._sent[name] = value
                 self.repeat(name, value)
         try:
             self.drive.write("modes_of_operation", int(mode))
