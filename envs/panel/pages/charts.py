@@ -27,7 +27,8 @@ LEGEND = {
 }
 COLOURS = ("#3987e5", "#e0762b", "#2f9e5f", "#c2427a")
 MOST = 800  # points of a line
-PANELS = {1: [(76, 55)], 2: [(76, "54%"), ("57%", 55)]}  # by their number: top, bottom of each
+# top and bottom of each panel, by their number
+PANELS: dict[int, list[Any]] = {1: [(76, 55)], 2: [(76, "54%"), ("57%", 55)]}
 SMALL = {"m": ("µm", 1e6), "rad": ("mrad", 1e3)}
 
 
@@ -83,7 +84,7 @@ def course_chart(courses: Sequence[Any], shown: str) -> dict[str, Any]:
     for course, colour in zip(courses, COLOURS, strict=False):
         series.append(_line(course.policy, course.time, course.value, colour, 0))
         series.append(_line(course.policy, course.time, course.torque, colour, 1))
-    names = [{"name": shown, "scale": True}, {"name": "torque (% rated)"}]
+    names: list[Any] = [{"name": shown, "scale": True}, {"name": "torque (% rated)"}]
     return _panels("time (s)", names, series)
 
 
