@@ -171,11 +171,11 @@ class Bench:
         raise NotImplementedError
 
     def joint_position(self, axis: str) -> float | None:
-        """The position of its joint (m or rad); None if only the drive knows it."""
+        """The position of the joint (m or rad); None if only the drive measures it."""
         return None
 
     def referenced(self, axis: str) -> bool:
-        """Whether an axis is homed, as far as this is known."""
+        """Whether an axis is homed; True if this cannot be determined."""
         return True
 
     # ----------------------------------------------------------------- the drives

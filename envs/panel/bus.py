@@ -325,7 +325,7 @@ class BusBench(Bench):
         return self._named[name].unit
 
     def _status(self, axis: str) -> dict[str, Any]:
-        """State, and what its PDOs show; the rest a bus does not report."""
+        """State, and the bytes of the PDOs; a bus does not report the rest."""
         word = self.present(axis, "statusword")
         state = None if word is None else state_of(int(word))
         status, refused = int(word or 0), ""

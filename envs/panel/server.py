@@ -62,7 +62,7 @@ def serve(
     session: Bench, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     pictures: int = 25, tell: Callable[[str], object] = print, token: str = "",
 ) -> None:
-    """Serve the panel of a session until the process is told to end.
+    """Serve the panel of a session until the process ends.
 
     Args:
         session: runs in real time from now on.
@@ -96,7 +96,7 @@ def serve_class(
     room: Classroom, *, host: str = "127.0.0.1", port: int = PORT, browser: bool = True,
     tell: Callable[[str], object] = print, token: str = "",
 ) -> None:
-    """Serve a classroom until the process is told to end.
+    """Serve a classroom until the process ends.
 
     Args:
         room: the classroom.

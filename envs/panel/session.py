@@ -304,7 +304,7 @@ class Session(Bench):
             self.beside.watch_parameters()
 
     def _status(self, axis: str) -> dict[str, Any]:
-        """State, and what only the record of the drive knows."""
+        """State, and quantities of the drive that have no object."""
         drive, (_, scale) = self.machine.drives[axis], self.unit(axis)
         record = drive.axis
         target = float(record.target) / float(record.rad_per_position_unit or 1)

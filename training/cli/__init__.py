@@ -63,7 +63,7 @@ COMMANDS = {
         "ethercat", "serve drives with moving axes as EtherCAT slaves on a network interface",
         "ethercat --udp --drive kollmorgen_akd --slaves 2 --log run.pcapng",
         "Unmodified masters bring them to OP. -i INTERFACE is a raw Ethernet port, which needs "
-        "root or CAP_NET_RAW; docs/how-to/ethercat.md makes a pair of virtual ones.",
+        "root or CAP_NET_RAW; docs/how-to/ethercat.md shows how to make a virtual pair.",
     ),
     "serve": Command(
         "serve", "serve a whole machine on its buses, as a machine file describes it",
@@ -74,7 +74,8 @@ COMMANDS = {
     "deploy": Command(
         "deploy", "play a policy on the drives of a bus, behind a guard",
         "deploy LinearAxis-v0 --policy trapezoid --slow 0.2 --home 17 -i socketcan -c can0",
-        "The same task, observations and policy as in memory; CAN by python-can, EtherCAT by SOEM.",
+        "Task, observations and policy are the same as in memory. CAN uses python-can, EtherCAT "
+        "uses SOEM.",
     ),
     "eds": Command(
         "sheets", "write the EDS or DCF of a drive model (CiA 306)",
@@ -87,7 +88,7 @@ COMMANDS = {
     "observe": Command(
         "observe", "read out a drive on CAN or EtherCAT, and compare it with a drive model",
         "observe --node-id 5 -i socketcan -c can0 -o drive.json",
-        "Then: servogym observe --compare drive.json --drive generic. The power stage stays off.",
+        "The power stage stays off. Next: servogym observe --compare drive.json --drive generic.",
     ),
     "decode": Command(
         "decode", "explain a log of a CAN or EtherCAT bus, frame by frame",
@@ -96,7 +97,7 @@ COMMANDS = {
     "machines": Command(
         "machines", "size an axis: inertia ratio, torque, resonance, margins, profile",
         "machines toothed_belt --drive kollmorgen_akd --set payload=20",
-        "Without a name: a table of all machines with the drive.",
+        "Without a name, the command prints a table of all machines with the drive.",
     ),
     "bode": Command(
         "bode", "measure the loops of a drive: Bode plot, margins, inertia, resonances",
@@ -110,7 +111,7 @@ COMMANDS = {
         "twin", "turn a bus log into a model of the machine, with intervals and a verdict",
         "twin moves.log --drive generic --mechanics auto -o out/twin",
         "The log has to contain the frames of the master and of the drive (607Ah, 6041h, 6064h, "
-        "6077h). --plan writes the experiment to record; docs/how-to/twin.md makes a moves.log.",
+        "6077h). --plan writes the experiment to record; docs/how-to/twin.md records a moves.log.",
     ),
     "replay": Command(
         "replay", "play a log into a drive model and score its answers, or into a machine",
@@ -154,7 +155,7 @@ COMMANDS = {
     "tune-policy": Command(
         "tune_policy", "fit the numbers of a baseline, and report the effort",
         "tune-policy basis_feed_forward --out out/tuned.npz",
-        "The effort is reported as for a training: steps, processor time, choices by hand.",
+        "The effort is counted as for a training: steps, processor time, manual choices.",
     ),
     "curves": Command(
         "train", "draw the learning curves of trainings", "curves out/axis",

@@ -1,1 +1,1 @@
-"""The pages of the panel: each draws a snapshot and sends what is clicked to the session."""
+"""The pages of the panel: each draws a snapshot, and sends clicks to the session."""
