@@ -62,7 +62,7 @@ def _train(options: argparse.Namespace, console: Console) -> int:
     asked = Training(**{name: value for name, value in given.items() if value is not None})
     from ..learn import train
 
-    console = get_console()  # the console of the progress bar, so that other output appears above it
+    console = get_console()  # that of the progress bar, so that output appears above it
     return train.run(asked, console, progress=console.is_terminal)
 
 
