@@ -181,7 +181,7 @@ def test_a_file_for_another_pupils_page_or_a_large_one_is_refused(server):
             assert await post(emmy, theirs, b"{}") == (
                 403, "servogym panel: that page is another person's\n")
             status, said = await post(emmy, own, b" " * 3_000_000)
-            assert (status, "how long it is" in said[:200]) == (403, True)
+            assert (status, "state its length" in said[:200]) == (403, True)
             assert (await post(emmy, own, b"{}"))[0] == 200
             await emmy.until(lambda page: page.text("loaded"))
             assert not sophie.text("loaded")
