@@ -42,7 +42,7 @@ def clamp(axis: Axis, place):
 
 @block
 def room(axis: Axis, place, direction):
-    """Way (rad) from `place` to the software limit ahead in `direction` (any signed number)."""
+    """Distance (rad) from `place` to the software limit ahead in `direction` (its sign counts)."""
     if not axis.homed:
         return math.inf
     if direction > 0:
@@ -52,7 +52,7 @@ def room(axis: Axis, place, direction):
 
 @block
 def nearest_turn(axis: Axis, target, option):
-    """On a rotary axis (607Bh) the place that `target` (rad) means, counted on over the turns.
+    """The position that `target` (rad) means on a rotary axis (607Bh), counted over the turns.
 
     `option` is 60F2h bits 6-7: 0 stay within the range, 1 only negative, 2 only positive direction,
     3 the shortest way. A linear axis has only one such place.
@@ -72,17 +72,17 @@ def nearest_turn(axis: Axis, target, option):
 
 @block
 def _on_turn(axis: Axis, place, here):
-    """A place as one from 0 to the range, where what lies just before the range is 0 as well."""
+    """A position within the range from 0 on, where a rounding error before it counts as 0."""
     place -= axis.range_min
     return place - axis.range * math.floor((place + here) / axis.range)
 
 
 @block
 def nearest_count(axis: Axis, target):
-    """The place nearest to the demand that a cyclic `target` (rad) can mean.
+    """The position nearest to the demand that a cyclic `target` (rad) can mean.
 
-    A position is an INTEGER32 that counts on over its end: a target behind it is the next one. With
-    607Bh it counts on over the turns.
+    A position is an INTEGER32 that wraps, so a target beyond its end continues at the other one.
+    With 607Bh it continues over the turns.
     """
     if axis.range > 0.0:
         return nearest_turn(axis, target, 3)
@@ -92,10 +92,10 @@ def nearest_count(axis: Axis, target):
 
 @block
 def meant(axis: Axis, target):
-    """The place (rad) that an absolute `target` of a move means.
+    """The position (rad) that an absolute `target` of a move means.
 
-    Between software limits there is one. Where nothing bounds the travel it counts on over the ends
-    of INTEGER32, as the difference of two of them does in 32 bits (inferred).
+    It is unique between software limits. If nothing bounds the travel, it wraps at the ends of
+    INTEGER32, as the difference of two of them does in 32 bits (inferred).
     """
     if axis.range > 0.0 or (axis.homed and axis.position_limit_max < math.inf):
         return nearest_turn(axis, target, axis.turn_option)
@@ -104,7 +104,7 @@ def meant(axis: Axis, target):
 
 @block
 def show_clamped(axis: Axis):
-    """Say which software limit holds the present target back, as long as it does."""
+    """Report the software limit that holds back the present target, if any."""
     if axis.homed and axis.target_wanted > axis.position_limit_max:
         _show(axis, 1)
     elif axis.homed and axis.target_wanted < axis.position_limit_min:
@@ -113,7 +113,7 @@ def show_clamped(axis: Axis):
 
 @rare
 def _show(axis: Axis, direction):
-    """Say that the software limit ahead in `direction` acts."""
+    """Report that the software limit ahead in `direction` acts."""
     if direction > 0:
         axis.limits |= Limit.SOFTWARE_POSITION_MAX
         raise_fault(axis, Cause.SOFTWARE_LIMIT_MAX)
@@ -124,9 +124,9 @@ def _show(axis: Axis, direction):
 
 @block
 def before_limit(axis: Axis, start, target, period):
-    """How far towards `target` (rad) one `period` (s) of constant speed may go from `start`.
+    """The farthest position towards `target` (rad) after one `period` (s) of constant speed.
 
-    As far as the quick stop ramp 6085h, in steps of such periods, still ends at the limit ahead.
+    From there the quick stop ramp 6085h, in steps of such periods, still ends at the limit ahead.
     """
     way = target - start
     space = max(room(axis, start, way), 0.0)
@@ -143,9 +143,9 @@ def before_limit(axis: Axis, start, target, period):
 
 @block
 def suppressed(axis: Axis, target):
-    """Whether a positioning does not start: its target (rad) is behind a software limit.
+    """Whether a move must not start because its target (rad) is beyond a software limit.
 
-    Only in models that have a fault of it (Festo CMMP-AS, 40-2 and 40-3).
+    This applies to models that have a fault for it (Festo CMMP-AS, 40-2 and 40-3).
     """
     cause = Cause.NONE
     rounding = abs(axis.rad_per_position_unit) / 2
@@ -174,7 +174,7 @@ def by_source(axis: Axis):
 
 @block
 def _share(axis: Axis, channel):
-    """1 for a fixed value (4), the share of 10 V at the analog input 0, 1 or 2 (1, 2, 3)."""
+    """The share of 10 V at analog input 0, 1 or 2 (channels 1, 2, 3); 1 for a fixed value (4)."""
     if channel > ANALOG_INPUTS:
         return 1.0
     offset = axis.od.analog_input_offset[channel - 1] * 1e-3
@@ -183,7 +183,7 @@ def _share(axis: Axis, channel):
 
 @block
 def at_switch(axis: Axis, direction):
-    """Whether the limit switch on the way of `direction` (any signed number) is active."""
+    """Whether the limit switch ahead in `direction` (its sign counts) is active."""
     if direction > 0 and axis.switches & Switch.POSITIVE_LIMIT:
         axis.limits |= Limit.POSITIVE_LIMIT_SWITCH
         raise_fault(axis, Cause.POSITIVE_BLOCKED)
@@ -197,7 +197,7 @@ def at_switch(axis: Axis, direction):
 
 @block
 def locked(axis: Axis, goal, deceleration, jerk):
-    """Whether a velocity demand has to brake: a switch or a software limit is ahead.
+    """Whether a velocity demand has to brake because a switch or a software limit is ahead.
 
     `goal` is the velocity wanted (rad/s); it can stop at `deceleration` with `jerk`. The lock holds
     until another direction is asked for.
@@ -220,7 +220,7 @@ def locked(axis: Axis, goal, deceleration, jerk):
 
 @block
 def brakes(axis: Axis, torque):
-    """Brake instead of giving `torque` (Nm), where the axis moves or is pushed to a limit.
+    """Whether to brake instead of applying `torque` (Nm), at or before a limit; brakes if so.
 
     A torque mode brakes on the quick stop ramp, at a switch on that of the switch, and then stands,
     until the torque asked for turns away (inferred: CiA 402-2 bounds the actual position and leaves

@@ -1,8 +1,8 @@
 """Digital outputs by their functions (2420h), and what 60FEh switches directly.
 
 Sources: Metronix ARS 2000 6.13.2.3, 6.13.2.4; Festo CMMP-AS 5.13. An output that 60FEh switches has
-the function OFF or ON from then on, by SDO as by PDO. Functions that need what the drive has no
-object for (remaining distance 4, comparison speed 6) or no part of (15) are never on.
+the function OFF or ON from then on, by SDO and by PDO. Functions for which the drive has no object
+(remaining distance 4, comparison speed 6) or no hardware (15) are never on.
 """
 
 from . import homing
@@ -58,7 +58,7 @@ def _assign(axis: Axis, i, function):
 
 @block
 def _active(axis: Axis):
-    """The functions that are on now, as bits; those above 16 are Festo's."""
+    """The active functions as bits; those above 16 are Festo's."""
     shown = axis.warnings | axis.faults
     ready = manufacturer_status(axis) & ManufacturerStatus.READY_FOR_ENABLE
     return (

@@ -12,7 +12,7 @@ from .record import Axis
 
 @block
 def read(axis: Axis):
-    """The two inputs as bits; `AXIS.probe_inputs` has them as they were, latched or not."""
+    """The two inputs as bits; `AXIS.probe_inputs` holds those of the previous velocity cycle."""
     return int(axis.touch_probe[0]) | int(axis.touch_probe[1]) << 1
 
 
@@ -39,7 +39,7 @@ def sample(axis: Axis, now, index_counts, index_passed):
 
 @block
 def command(axis: Axis):
-    """Function word of both probes: 60B8h, or what a model's own control word amounts to."""
+    """Function word of both probes: 60B8h, or the equivalent of a model's own control word."""
     if not axis.latch_words:
         return int(axis.od.touch_probe_function)
     control = int(axis.od.latch_control)
@@ -49,7 +49,7 @@ def command(axis: Axis):
 
 @block
 def _latch_words(axis: Axis):
-    """The latch status, and the positions the read field of the control word asks for.
+    """Set the latch status, and the positions selected by the control word.
 
     Source: Kollmorgen AKD 5.12. Bits 0-3 stored edges, bits 8-11 the edge whose position is shown,
     bits 12-15 inputs 4 to 1. Without a request latch 1 is shown (inferred).
@@ -81,7 +81,7 @@ def _store(axis: Axis, place, counts, continuous):
 
 @block
 def publish(axis: Axis):
-    """Status word of the two probes; taking the enable bit away forgets what was stored."""
+    """Set the status word of the two probes; clearing the enable bit clears the stored edges."""
     function = command(axis)
     status = 0
     for probe in range(2):
@@ -97,7 +97,7 @@ def publish(axis: Axis):
 
 @block
 def _sampling(axis: Axis):
-    """Sampling as Festo CMMP-AS 5.15 has it: the edges of probe 1, bit 0 falling, bit 1 rising."""
+    """Sample the edges of probe 1 as in Festo CMMP-AS 5.15: bit 0 falling, bit 1 rising."""
     od = axis.od
     clear = int(od.sample_control)
     od.sample_control = 0

@@ -2,11 +2,11 @@
 
 A PDO of the drive is one `PDO` record: its communication parameters (CiA 301, 1400h/1800h), its
 mapping (1600h/1A00h), and the mapping compiled to offsets into the AXIS record. The *process image*
-of a drive is all its valid RPDOs (or TPDOs) one after the other. `latch` and `collect` only move
-bytes, so the reinforcement learning loop, the CANopen node and the tests exchange the very same
-ones. What the kernel works with is not checked on the way: out of range it stands in the object as
-it was sent, and the cycle limits what it makes of it. An object of the model's own bytes keeps its
-value where process data bring one that SDO would refuse.
+of a drive consists of all its valid RPDOs (or TPDOs) in order. `latch` and `collect` only move
+bytes, so the reinforcement learning loop, the CANopen node and the tests exchange the same bytes.
+Objects of the kernel are not checked: a value out of range stays in the object as it was sent, and
+the cycle limits its effect. An object in the model's own bytes keeps its value if process data
+bring one that SDO would refuse.
 """
 
 import numpy as np
@@ -115,8 +115,9 @@ def collect(bytes_of_axis, tpdos, image, at):
 def move(source, target, pdo, at, latching):
     """Copy one PDO between the objects of an axis and its place `at` in an image.
 
-    When `latching`, from the image to the objects, else the other way. What is longer where it goes
-    gets zeros or its sign in front. -> place behind it, if the image were that long.
+    When `latching`, it is copied from the image to the objects, otherwise back. A value that
+    becomes longer is extended by zeros or its sign. Returns the position behind the PDO, even if
+    the image is shorter.
     """
     objects, image = (len(target), len(source)) if latching else (len(source), len(target))
     for e in range(min(pdo.count, ENTRIES)):

@@ -1,7 +1,7 @@
-"""The statusword 6041h, composed from state, inputs, warnings, limits and the bits of the mode.
+"""The statusword 6041h, composed of state, inputs, warnings, limits and the bits of the mode.
 
-The standard's bits, and what the models' quirks make of them: `AXIS.fault_shows_reaction` and the
-fields after it. Bit 7 of 6510h:F0h (`words.Compatibility`) takes two of the quirks back.
+Quirks of the models change bits of the standard: `AXIS.fault_shows_reaction` and the fields after
+it. Bit 7 of 6510h:F0h (`words.Compatibility`) cancels two of the quirks.
 """
 
 from . import contacts
@@ -12,7 +12,7 @@ from .record import Axis
 from .words import STATE_PATTERN, Compatibility, Limit, ManufacturerStatus, State, Statusword
 
 VALUE = tuple(STATE_PATTERN[state][1] for state in State)
-THREE_STATES = tuple(  # all that a drive shows which contacts start
+THREE_STATES = tuple(  # shown by a drive that contacts start
     STATE_PATTERN[
         State.FAULT if state >= State.FAULT_REACTION_ACTIVE else max(state, State.SWITCHED_ON)
     ][1]
@@ -95,7 +95,7 @@ def manufacturer_status(axis: Axis):
 def digital_inputs(axis: Axis):
     """60FDh: the switches, the interlock while an enable input is missing, further inputs.
 
-    In models with `switch_types` the home switch is one of these, DIN9 or DIN8 (Metronix 6.14).
+    In models with `switch_types` the home switch is an input, DIN9 or DIN8 (Metronix 6.14).
     """
     missing = not (axis.enable_input and axis.sto_input)
     further = int(axis.inputs) & 0xFFFF0000

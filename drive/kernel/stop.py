@@ -1,6 +1,6 @@
-"""Stops: what the option codes 605Ah-605Eh choose between, with real ramps.
+"""Stops, which the option codes 605Ah-605Eh select, with real ramps.
 
-A stop replaces the demand of the mode until device control or the end of a halt takes it away.
+A stop replaces the demand of the mode until device control or the end of a halt removes it.
 Sources: CiA 402-2, quick stop, shutdown, disable operation, halt and fault reaction option codes.
 Current limit and voltage limit differ in a real drive by what bounds the braking torque; without a
 model of the DC link both brake at the torque limit (inferred).
@@ -79,16 +79,16 @@ def plan(axis: Axis, stop):
 
 @block
 def option(code):
-    """Row of an option code; what a program wrote into the record past the objects is brought in.
+    """An option code as an index of the tables, limited to their range.
 
-    Masters cannot: the objects refuse it.
+    Objects refuse other values, but a program may write them to the record.
     """
     return min(max(int(code), 0), LAST_OPTION)
 
 
 @block
 def limit_switch_rate(axis: Axis):
-    """Deceleration at a limit switch (rad/s²): an object of some models, else the quick stop's."""
+    """Deceleration at a limit switch (rad/s²): an object of some models, or the quick stop's."""
     if axis.limit_deceleration > 0.0:
         return axis.limit_deceleration
     return axis.quick_stop_deceleration
@@ -96,7 +96,7 @@ def limit_switch_rate(axis: Axis):
 
 @block
 def at_limit_switch(axis: Axis):
-    """Brake a move that has met a limit switch: own deceleration, or the stop of 2017h."""
+    """Brake a move at a limit switch, with its own deceleration or the stop of 2017h."""
     if axis.limit_deceleration > 0.0:
         rate = axis.limit_deceleration
         plan_velocity(axis, 0.0, rate, rate, NO_JERK_LIMIT)
@@ -129,7 +129,7 @@ def finished(axis: Axis):
 
 @block
 def _run_down(axis: Axis):
-    """The demand is below `stop_velocity` for a time, or the motor was braked with DC for one."""
+    """Whether the demand is below `stop_velocity` for a time, or DC braking has ended."""
     time = axis.stop_cycles * axis.position_period
     if axis.stop == Stop.CURRENT_LIMIT:
         return time >= axis.dc_brake_time

@@ -1,4 +1,4 @@
-"""SYNC of the bus in the drive's time grid: interpolated position of some models waits for it.
+"""SYNC of the bus in the drive's time grid, which interpolated position of some models needs.
 
 Sources: Festo CMMP-AS 7.4.3, Metronix ARS 2000 8.4.3.2: 6061h shows -1 until the drive has
 synchronised, and again when SYNC leaves its grid. How many SYNCs it takes, and how far from the

@@ -1,4 +1,4 @@
-"""What heats up: the I²t model of the motor with derating, and the motor temperature.
+"""Thermal models: I²t of the motor with derating, and the motor temperature.
 
 I²t (after Festo CMMP-AS, chapter 5.5): the motor bears its peak torque for `i2t_time`; then the
 torque is limited to the rated one until the integral has fallen. The limit sinks over the last

@@ -1,10 +1,10 @@
-"""The motor's winding on the DC link: what torque the voltage leaves at a speed.
+"""The motor's winding on the DC link: the torque that the voltage allows at a speed.
 
-The motor counts as its equivalent DC motor, whose terminals get -U..U of the DC link:
+The motor is modelled as its equivalent DC motor with -U..U of the DC link at its terminals:
 
     L di/dt + R i = u - Ke w,        torque = Kt i
 
-so that the torque cannot leave Kt (±U - Ke w) / R, to which it comes with the electrical time
+so the torque is limited to Kt (±U - Ke w) / R, which it approaches with the electrical time
 constant L / R. Above the no-load speed U / Ke both ends are braking torques: the motor feeds the
 link through the diodes. The speed is the true one of the shaft, not that of the encoder.
 """
@@ -17,7 +17,7 @@ from .record import Axis
 
 @block
 def receive(axis: Axis):
-    """The motor's data from the objects; -> whether its voltage limits the torque."""
+    """Set the motor's data from the objects; return whether its voltage limits the torque."""
     od = axis.od
     constant, back = od.motor_torque_constant * 1e-6, od.motor_voltage_constant * 1e-6
     axis.torque_constant = constant
@@ -33,7 +33,7 @@ def receive(axis: Axis):
 
 @block
 def torque_range(axis: Axis):
-    """Lowest and highest torque (Nm) that the current can come to in this velocity cycle."""
+    """Lowest and highest torque (Nm) that the current can reach in this velocity cycle."""
     speed = 0.0
     if axis.angle_known:
         speed = (axis.shaft_angle - axis.last_angle) / axis.velocity_period
