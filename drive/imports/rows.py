@@ -51,6 +51,12 @@ def _generic_cells() -> Cells:
     return read_cells(load("generic").folder / "objects.csv")
 
 
+def _cells_of(row: Object) -> dict[str, str]:
+    """The cells of an object of `generic`; a list that grows with its model has those of sub 1."""
+    cells = _generic_cells()
+    return (cells.get((row.index, row.subindex)) or cells[row.index, 1])[0]
+
+
 class ObjectRows:
     """The rows of objects.csv that are made from a sheet.
 
@@ -93,7 +99,7 @@ class ObjectRows:
         if data_type is None:
             self.left_out.append(shown)
             return
-        field = _generic_cells()[address][0]["field"] if known else ""
+        field = _cells_of(known)["field"] if known else ""
         if known is not None and data_type != known.data_type:
             if field and self._is_number_of(data_type, known):
                 pass  # the same number in more or fewer bytes
@@ -144,7 +150,7 @@ class ObjectRows:
     def _row(self, entry: Entry, data_type: str, known: Object | None) -> dict[str, Any]:
         access, pdo = _ACCESS[entry.access]
         code = FORMATS[data_type]
-        own = _generic_cells()[entry.index, entry.subindex][0] if known else {}
+        own = _cells_of(known) if known else {}
         if known is not None:
             if known.access == "const" and (own["field"] or access == "ro"):
                 access, pdo = "const", ""
