@@ -71,7 +71,7 @@ job_at = viewer(JOB)
 
 @block
 def _tick(world):
-    """One physics step and the control cycles that begin with it."""
+    """Run one physics step and the control cycles that begin with it."""
     if tick.control(world):
         mj_step1(world.mj_model, world.mj_data)
         grips = tick.forces(world)

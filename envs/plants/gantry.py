@@ -103,7 +103,7 @@ class Gantry(Machine):
 
     @property
     def skew(self) -> float:
-        """How far the end of the bridge on x2 is ahead of the one on x1 (m)."""
+        """Lead of the end of the bridge on x2 over the end on x1 (m)."""
         return self._joint("skew") * SPAN
 
     @property
