@@ -218,7 +218,7 @@ class TestOnADevice:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            ({"faults": {"drop": 0.01}}, "faults of a bus are not there with device="),
+            ({"faults": {"drop": 0.01}}, "faults of a bus are not available with device="),
             ({"threads": 2}, "threads: a device has its own"),
         ],
     )

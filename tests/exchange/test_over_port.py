@@ -456,7 +456,7 @@ def test_what_a_bus_cannot_do_is_said(arguments, said):
     served = CanBus(LINEAR, 5)
     with pytest.raises(ValueError, match=said):
         gym.make(LINEAR, port=served.side(), **arguments)
-    with pytest.raises(ValueError, match="port: drives on a bus are those of one environment"):
+    with pytest.raises(ValueError, match="port: drives on a bus belong to one environment"):
         gym.make_vec(LINEAR, 2, port=served.side())
     env = gym.make(LINEAR, port=served.side())
     with pytest.raises(TypeError, match="cannot be copied"):
