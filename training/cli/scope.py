@@ -17,7 +17,7 @@ CHANNELS = [
 ]
 OF_A_MACHINE = [*CHANNELS[:3], "axis.torque_command", "statusword"]
 BUS = "bus"
-ONLY_OF_A_BUS = f"applies only to a running node, `servogym scope {BUS}`"
+ONLY_OF_A_BUS = f"is for a running node only, `servogym scope {BUS}`"
 MOST = 6  # panels of a log that has none of `CHANNELS`
 DEPTH, BEFORE, RATE, DURATION = 4000, 100, 50.0, 10.0
 
