@@ -56,10 +56,10 @@ def fill(
     }
     made.unknown, made.left_out = objects.unknown, objects.left_out
     units = (
-        "from 608Fh, 6091h, 6092h" if (FEED, 1) in objects.rows else
-        "`inferred`: a position unit is an increment of the encoder, 6092h is missing"
+        "those of 608Fh, 6091h and 6092h" if (FEED, 1) in objects.rows else
+        "a position unit is an increment of the encoder (`inferred`), since 6092h is missing"
     )
-    velocity = " Velocities: in 1/min, as 60A9h says." if in_rpm else ""
+    velocity = " Velocities are in 1/min (60A9h)." if in_rpm else ""
     made.notes = [
         "An EDS or ESI file lists objects, types, ranges, defaults and PDOs. It does not describe "
         "behaviour: objects that CiA 402 defines behave as in the model `generic` (`inferred`).",
@@ -100,14 +100,15 @@ def _capabilities(
     bits = objects.stated(_SUPPORTED_MODES, 0) or 0
     standard = [mode for mode in objects.base.modes if mode > 0]
     modes = [mode for mode in standard if bits >> mode_bit(mode) & 1]
-    modes_from = "from 6502h"
+    modes_from = "those of 6502h"
     if not modes:
-        modes_from = "`inferred`: those whose objects are there, 6502h has no default"
+        modes_from = "those whose objects exist (`inferred`), since 6502h has no default"
         indices = {index for index, _ in objects.rows}
         modes = [mode for mode in standard if indices.issuperset(needs.get(mode, ()))]
     stated = {objects.stated(_SUPPORTED_METHODS, n) for n in range(1, 255)}
     methods = [method for method in objects.base.homing_methods if method in stated]
-    methods_from = "from 60E3h" if methods else "`inferred`: those of `generic`, 60E3h names none"
+    methods_from = "those of 60E3h" if methods else (
+        "those of `generic` (`inferred`), since 60E3h names none")
     if (mode := _only_mode(objects, pdos, fixed, modes)) is not None:
         modes = sorted({*modes, mode})
     table: dict[str, Any] = {}

@@ -156,7 +156,7 @@ class ObjectRows:
                 access, pdo = "const", ""
             elif known.access == "ro" and access in ("rw", "wo"):
                 self.sheet.tell(entry.line, entry.where, entry.access, "ro",
-                                "the drive computes it")
+                                "the drive sets it")
                 access, pdo = "ro", "tx"
         place = parameter_place(entry.index, entry.subindex)
         name = known.name if known else self._name(entry)
