@@ -34,6 +34,9 @@ class Simulated(NamedTuple):
     position: np.ndarray  # m or rad
     torque: np.ndarray  # Nm
     demand: np.ndarray  # m or rad
+    # position and torque of the nearest row, whose noise no interpolation has smoothed;
+    # shape (candidates, m, 2)
+    nearest: np.ndarray
 
 
 class Candidates:
@@ -139,7 +142,14 @@ class Candidates:
         if self.coarse:
             fine -= 0.5 * self.increment
         behind = 1.0 - float(axis.velocity_period) / experiment.cycle
-        return Simulated(_at(fine, at - behind), *(_at(column, at) for column in (torque, demand)))
+        line, last = np.arange(count)[:, None], torque.shape[1] - 1
+        nearest = np.stack([
+            rows_of[line, np.clip(np.round(places).astype(int), 0, last)]
+            for rows_of, places in ((fine, at - behind), (torque, at))
+        ], axis=-1)
+        return Simulated(
+            _at(fine, at - behind), *(_at(column, at) for column in (torque, demand)), nearest
+        )
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:

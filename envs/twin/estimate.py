@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .candidates import LAG, SEED, Candidates
+from .candidates import LAG, Candidates
 from .experiment import Experiment
 
 ORDER = 6  # of the autoregression
@@ -26,8 +26,6 @@ CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
 GRAINS = 20  # shortest difference of what is rounded
 REACH = 10  # standard errors a derivative is taken over, either way
 FINEST = 1e-5  # shortest difference of a derivative, of the value or of the first difference
-REPLICAS = 24
-CORRECTIONS = 2  # of the bias that noise brings
 DIFFERENCES = 3  # order that leaves noise and little of a model error
 
 
@@ -188,33 +186,19 @@ class Search:
         self.fixed = dict(fixed or {})
         self.progress = progress
 
-    def residuals(
-        self, values: Sequence[Mapping[str, float]], as_logged: bool = False
-    ) -> list[np.ndarray]:
-        """Measured minus simulated, for each experiment, shape ``(len(values), m, 2)``.
-
-        Args:
-            values: of each candidate.
-            as_logged: simulated values are rounded as those of the log are.
-        """
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
+        """Measured minus expected, for each experiment, shape ``(len(values), m, 2)``."""
         found = []
         for experiment in self.experiments:
             run = self.candidates.simulate(experiment, [self.fixed | dict(v) for v in values])
-            simulated = np.stack([run.position, run.torque], axis=-1)
-            if as_logged:
-                quanta = np.maximum(experiment.quanta, 1e-12)
-                simulated = np.round(simulated / quanta) * quanta
-            measured = np.stack([experiment.position, experiment.torque], axis=-1)
-            found.append(measured - simulated)
+            found.append(experiment.residuals(run.position, run.torque))
         return found
 
-    def white(
-        self, values: Sequence[Mapping[str, float]], noise: Noise, as_logged: bool = False
-    ) -> list[np.ndarray]:
+    def white(self, values: Sequence[Mapping[str, float]], noise: Noise) -> list[np.ndarray]:
         """White residuals of the samples of motion."""
         return [
             noise.white(r)[:, moving]
-            for r, moving in zip(self.residuals(values, as_logged), self._moving, strict=True)
+            for r, moving in zip(self.residuals(values), self._moving, strict=True)
         ]
 
     def noise(self, values: Mapping[str, float]) -> Noise:
@@ -298,39 +282,33 @@ class Search:
         covariance = self._covariance(free, x, white, jacobian)
         return Estimate(values, best, covariance, free, noise, jacobian)
 
-    def replicate(self, estimate: Estimate, deviation: float, count: int = REPLICAS) -> Estimate:
-        """Where noise and rounding take the estimate: a parametric bootstrap, linearised.
+    def bootstrapped(self, estimate: Estimate) -> Estimate:
+        """Widen the covariance to that of a parametric bootstrap, linearised.
 
-        The machine that was found repeats the experiments with noise of its own, `count` times,
-        side by side, logged in the units of the log; a step of Gauss and Newton says what would
-        have been found from each. Where their mean is not what was measured, noise has taken the
-        estimate away, as dry friction is not linear, and it is put right; their spread is the
-        covariance (Efron, Tibshirani 1993, chapter 6).
+        The replicas of each experiment are rounded as the log is. A Gauss-Newton step gives the
+        estimate that each replica would have led to (Efron, Tibshirani 1993, chapter 6).
 
         Args:
-            estimate: of this search.
-            deviation: of the encoder's noise (m or rad).
-            count: of replicas.
+            estimate: of this search, whose experiments have replicas.
         """
-        free = estimate.free
-        seeds = [{"encoder_noise": deviation, SEED: 2 * n + 12345} for n in range(count)]
         jacobian = estimate.jacobian
         gram = jacobian.T @ jacobian
         size = np.sqrt(np.maximum(np.diag(gram), 1e-30))
         inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
-        values, spread = dict(estimate.values), np.zeros_like(gram)
-        for _ in range(CORRECTIONS):
-            noisy = self.white([values | each for each in seeds], estimate.noise, as_logged=True)
-            away = np.concatenate([part.reshape(count, -1) for part in noisy], axis=1)
-            steps = -(away @ jacobian) @ inverse
-            spread = np.cov(steps.T).reshape(len(free), len(free)) * (1 + 1 / count)
-            step = np.clip(steps.mean(axis=0), -0.3 * _most(free), 0.3 * _most(free))
-            inner = np.array([f.inner(max(values[f.name], f.low)) for f in free]) + step
-            values |= {f.name: f.outer(c) for f, c in zip(free, inner, strict=True)}
+        away = []
+        for experiment, moving in zip(self.experiments, self._moving, strict=True):
+            assert experiment.replicas is not None
+            run = self.candidates.simulate(experiment, [estimate.values])
+            quiet = np.stack([run.position[0], run.torque[0]], axis=-1)
+            quanta = np.maximum(experiment.quanta, 1e-12)
+            logged = np.round((quiet + experiment.replicas.added) / quanta) * quanta
+            left = estimate.noise.white(logged - quiet - experiment.replicas.mean)[:, moving]
+            away.append(left.reshape(len(left), -1))
+        steps = (np.concatenate(away, axis=1) @ jacobian) @ inverse
+        spread = np.sqrt(np.var(steps, axis=0, ddof=1) * (1 + 1 / len(steps)))
         known = np.sqrt(np.maximum(np.diag(estimate.covariance), 1e-300))
-        wider = np.maximum(np.sqrt(np.maximum(np.diag(spread), 0.0)) / known, 1.0)
-        covariance = estimate.covariance * np.outer(wider, wider)
-        return replace(estimate, values=values, covariance=covariance)
+        wider = np.maximum(spread / known, 1.0)
+        return replace(estimate, covariance=estimate.covariance * np.outer(wider, wider))
 
     def _inside(self, free: Sequence[FreeParameter], x: np.ndarray) -> np.ndarray:
         return np.array([

@@ -51,6 +51,36 @@ class Unusable(ValueError):
 
 
 @dataclass(frozen=True)
+class Replicas:
+    """Runs of one machine with encoder noise, each minus the run without noise.
+
+    Their mean is not zero. Noise shakes an axis free that dry friction holds, and passes the
+    rounding of a drive, so the expected path differs from the path without noise.
+    """
+
+    deviation: float  # of the encoder noise (m or rad)
+    added: np.ndarray  # to position (m or rad) and torque (Nm), shape (k, m, 2)
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """The expected deviation from the run without noise, shape ``(m, 2)``."""
+        mean: np.ndarray = self.added.mean(axis=0)
+        return mean
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard deviation of a new run about the mean, shape ``(m, 2)``."""
+        count = len(self.added)
+        spread: np.ndarray = self.added.std(axis=0, ddof=1)
+        spread *= math.sqrt(1 + 1 / count)
+        return spread
+
+    def part(self, keep: np.ndarray) -> "Replicas":
+        """Return the replicas at some of the samples, given by a mask of shape ``(m,)``."""
+        return Replicas(self.deviation, self.added[:, keep])
+
+
+@dataclass(frozen=True)
 class Experiment:
     """Set-points for each position cycle, and the measured values."""
 
@@ -71,6 +101,7 @@ class Experiment:
     lost: float = 0.0  # share of the frames
     events: Events | None = None  # that the rows come from, where set-points are not cyclic
     missed: LostSetPoints | None = None  # cyclic set-points that are not in the log
+    replicas: Replicas | None = None  # what encoder noise adds to a run of the machine
 
     def moved(self, cycles: np.ndarray) -> "Experiment":
         """With the motions of its `events` beginning so many rows later."""
@@ -78,6 +109,26 @@ class Experiment:
             return self
         events = self.events.moved(cycles)
         return replace(self, rows=events.rows(len(self.arrives)), events=events)
+
+    def residuals(self, position: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Measured minus expected position and torque, shape ``(..., m, 2)``.
+
+        Args:
+            position: of a run without noise (m or rad), shape ``(..., m)``.
+            torque: the same (Nm).
+        """
+        left = np.stack([self.position - position, self.torque - torque], axis=-1)
+        return left if self.replicas is None else left - self.replicas.mean
+
+    def even(self, *columns: np.ndarray) -> tuple[float, list[np.ndarray]]:
+        """Interpolate the samples that are missing from columns of shape ``(m,)``.
+
+        Returns:
+            The sampling period (s), and each column evenly spaced in time.
+        """
+        period = float(np.median(np.diff(self.time)))
+        at = np.arange(self.time[0], self.time[-1], period)
+        return period, [np.interp(at, self.time, column) for column in columns]
 
     @property
     def moving(self) -> np.ndarray:
@@ -132,6 +183,7 @@ class Experiment:
             self, rows={name: values[:n] for name, values in self.rows.items()},
             arrives=self.arrives[:n], time=self.time[keep], position=self.position[keep],
             torque=self.torque[keep],
+            replicas=None if self.replicas is None else self.replicas.part(keep),
         )
 
 

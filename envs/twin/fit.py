@@ -14,7 +14,7 @@ from .candidates import LAG, Candidates, Simulated
 from .estimate import Estimate, FreeParameter, Noise, Search
 from .experiment import Experiment, Unusable
 from .families import AUTO, GAINS, Family, family
-from .reconstruction import restored, timed
+from .reconstruction import expected, restored, timed
 from .regression import Rough, regress
 
 HELD_OUT = 0.35  # of one log, its end; of several logs the last one
@@ -77,9 +77,9 @@ class Fitted:
         left: list[list[np.ndarray]] = [[], [], [], []]
         for experiment, run, cut in zip(self.whole, self.simulated, self.cuts, strict=True):
             at = (experiment.time >= cut) == held
+            of_position, of_torque = experiment.residuals(run.position[0], run.torque[0]).T
             found = (
-                experiment.position - run.position[0], run.demand[0] - experiment.position,
-                experiment.torque - run.torque[0], experiment.torque,
+                of_position, run.demand[0] - experiment.position, of_torque, experiment.torque,
             )
             for column, values in zip(left, found, strict=True):
                 column.append(values[at])
@@ -150,6 +150,8 @@ def fit(
         experiments = [timed(candidates, each, best) for each in experiments]
         search.experiments = _split(experiments)[0]
         for steps in () if candidates.coarse else (4, 8):
+            experiments = [expected(candidates, each, best) for each in experiments]
+            search.experiments = _split(experiments)[0]
             noise = search.noise(best)
             experiments = [restored(candidates, each, best, noise) for each in experiments]
             search.experiments = _split(experiments)[0]
@@ -160,6 +162,7 @@ def fit(
         complete = False
         if estimate is None:
             raise
+    experiments = [expected(candidates, each, best) for each in experiments]
     held = _judge(candidates, experiments, cuts, best)
     worse = _worse(search, Search(candidates, experiments), cuts, best, noise)
     worse = max(worse, (held[0] / max(held[2], 1e-12)) ** 2)  # what is no noise is not told
@@ -172,7 +175,7 @@ def fit(
                 estimate.finer(candidates.smooth), best, noise, 6, close=True
             )
             if not candidates.coarse:
-                estimate = all_of_it.replicate(estimate, held[-1])
+                estimate = all_of_it.bootstrapped(estimate)
             estimate = replace(estimate, covariance=estimate.covariance * worse)
         except KeyboardInterrupt:
             complete = False
@@ -422,48 +425,27 @@ def _judge(
     values: Mapping[str, float],
 ) -> tuple[float, float, float, float, float, float]:
     """Errors held out, what noise of the encoder would leave, share explained, the noise."""
-    left_p, left_t, quiet_p, quiet_t, wave, sizes = [], [], [], [], [], []
-    coarse, increment = candidates.coarse, candidates.increment
-    trial = max(experiments[0].quanta[0], 0.2 * increment)
+    left, spread, wave, sizes = [], [], [], []
     for experiment, cut in zip(experiments, cuts, strict=True):
         held = experiment.time >= max(cut, experiment.known)
         if not held.any():
             continue
         run = candidates.simulate(experiment, [values])
-        noisy = candidates.simulate(experiment, [dict(values) | {"encoder_noise": trial}])
-        p, t = experiment.position - run.position[0], experiment.torque - run.torque[0]
-        dp, dt = noisy.position[0] - run.position[0], noisy.torque[0] - run.torque[0]
-        # of a coarse encoder the increments are the noise, and there is no other to be seen
-        size = 0.0 if coarse else _noise(p, dp, experiment.quanta[0]) * trial
-        share = size / trial
-        sizes.append(size)
-        left_p.append(p[held])
-        left_t.append(t[held])
-        quiet_p.append(share * dp[held])
-        quiet_t.append(share * dt[held])
+        left.append(experiment.residuals(run.position[0], run.torque[0])[held])
         wave.append(experiment.position[held] - experiment.position[held].mean())
-    quantum = [q**2 / 12 for q in experiments[0].quanta]
-    if coarse:  # a log and its twin may each be off by half of one
-        quantum[0] = max(quantum[0], increment**2)
-
-    def rms(parts: list[np.ndarray]) -> float:
-        return math.sqrt(float(np.mean(np.concatenate(parts) ** 2)))
-
-    position, torque = rms(left_p), rms(left_t)
+        replicas = experiment.replicas
+        spread.append(np.zeros_like(left[-1]) if replicas is None else replicas.spread[held])
+        sizes.append(0.0 if replicas is None else replicas.deviation)
+    quantum = np.square(experiments[0].quanta) / 12
+    if candidates.coarse:  # a log and its twin may each be off by half an increment
+        quantum[0] = max(quantum[0], candidates.increment**2)
+    position, torque = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)).tolist()
+    floor = np.sqrt(np.mean(np.concatenate(spread) ** 2, axis=0) + quantum).tolist()
+    moved = float(np.std(np.concatenate(wave)))
     return (
-        position, torque, math.hypot(rms(quiet_p), math.sqrt(quantum[0])),
-        math.hypot(rms(quiet_t), math.sqrt(quantum[1])),
-        1.0 - position / max(rms(wave), 1e-12), float(np.mean(sizes)),
+        position, torque, floor[0], floor[1], 1.0 - position / max(moved, 1e-12),
+        float(np.mean(sizes)),
     )
-
-
-def _noise(left: np.ndarray, simulated: np.ndarray, quantum: float) -> float:
-    """How much noise there is, in shares of the simulated one, by the highest differences."""
-    order = 3
-    rough = math.comb(2 * order, order) * quantum**2 / 12
-    seen = max(float(np.mean(np.diff(left, order) ** 2)) - rough, 0.0)
-    made = float(np.mean(np.diff(simulated, order) ** 2))
-    return math.sqrt(seen / made) if made > 0.0 else 0.0
 
 
 def _shown(values: Mapping[str, float], chosen: Family) -> str:

@@ -1,20 +1,23 @@
-"""Set-points as the axis shows them, where a log does not.
+"""What a log does not contain, estimated from the motion: lost set-points, and encoder noise.
 
 A logger stamps frames late, and misses some of them. The drive got them all, in time, and its
-motion shows what they were.
+motion shows what they were. The encoder's noise acts on the axis through the control loop.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from .candidates import LAG, Candidates
+from .candidates import LAG, SEED, Candidates
 from .estimate import Noise
-from .experiment import Experiment
+from .experiment import Experiment, Replicas
 
 SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
 ANSWER = 0.15  # s, that an axis takes to answer a set-point that is off
+REPLICAS = 24  # runs with encoder noise
+ROUGH = 3  # order of the differences that leave noise and little of a model error
 
 
 def timed(
@@ -70,8 +73,7 @@ def restored(
 
     def white(experiment: Experiment) -> np.ndarray:
         run = candidates.simulate(experiment, [values])
-        left = [experiment.position - run.position[0], experiment.torque - run.torque[0]]
-        return noise.white(np.stack(left, axis=-1))
+        return noise.white(experiment.residuals(run.position[0], run.torque[0]))
 
     def off(amounts: np.ndarray) -> Experiment:
         return replace(experiment, rows=lost.rows(experiment.rows, amounts))
@@ -94,6 +96,50 @@ def restored(
     gram = flat @ flat.T / scale + np.eye(len(flat)) / lost.error**2
     amounts = np.linalg.solve(gram, flat @ left.ravel() / scale)
     return off(np.round(amounts).astype(int))
+
+
+def expected(
+    candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
+) -> Experiment:
+    """An experiment with replicas: what encoder noise adds to a run with these values.
+
+    Measured values are compared with the mean of noisy runs, not with a run without noise. Dry
+    friction and rounding are not linear, so the two differ by micrometres; without the mean, a fit
+    would put the difference into parameters, as in indirect inference (Gourieroux, Monfort,
+    Renault 1993). An encoder so coarse that its increments are the noise gets no replicas.
+    """
+    if candidates.coarse:
+        return experiment
+    quiet = candidates.simulate(experiment, [values])
+    path = np.concatenate([quiet.position, quiet.torque]).T
+
+    def replicas(deviation: float) -> Replicas:
+        run = candidates.simulate(experiment, [
+            {**values, "encoder_noise": deviation, SEED: 2 * n + 12345} for n in range(REPLICAS)])
+        expected = np.stack([run.position, run.torque], axis=-1).mean(axis=0)
+        return Replicas(deviation, run.nearest - run.nearest.mean(axis=0) + expected - path)
+
+    known = experiment.replicas
+    if known is None or known.deviation == 0.0:
+        known = replicas(experiment.quanta[0])
+    experiment = replace(experiment, replicas=known)
+    left = experiment.residuals(*quiet[:2])[0, :, 0]
+    return replace(experiment, replicas=replicas(_noise(left, known, experiment.quanta[0])))
+
+
+def _noise(left: np.ndarray, known: Replicas, quantum: float) -> float:
+    """Standard deviation of the encoder noise, from the highest differences of residuals.
+
+    Args:
+        left: residuals of position (m or rad), shape ``(m,)``.
+        known: replicas with a noise of another size.
+        quantum: one increment of the log (m or rad), whose rounding is no noise.
+    """
+    rounding = math.comb(2 * ROUGH, ROUGH) * quantum**2 / 12
+    present = max(float(np.mean(np.diff(left, ROUGH) ** 2)) - rounding, 0.0)
+    added = (known.added - known.mean)[:, :, 0]
+    made = float(np.mean(np.diff(added, ROUGH, axis=1) ** 2))
+    return known.deviation * math.sqrt(present / made) if made > 0.0 else 0.0
 
 
 def _apart(begins: np.ndarray, ends: np.ndarray) -> Sequence[list[int]]:

@@ -42,12 +42,10 @@ def regress(
     """
     rows, torques, speeds = [], [], []
     for each in experiments:
-        period = float(np.median(np.diff(each.time)))
-        at = np.arange(each.time[0], each.time[-1], period)  # samples that are missing too
+        period, (position, torque) = each.even(each.position, each.torque)
         half = max(round(0.5 * WINDOW / period), 2)
-        position = np.interp(at, each.time, each.position) * gear
-        _, speed, acceleration = _derivatives(position, half, period)
-        torque, _, _ = _derivatives(np.interp(at, each.time, each.torque), half, period)
+        _, speed, acceleration = _derivatives(position * gear, half, period)
+        torque, _, _ = _derivatives(torque, half, period)
         rows.append(np.stack([acceleration, speed], axis=1))
         torques.append(torque)
         speeds.append(speed)

@@ -78,7 +78,7 @@ def _motion(path: Path, fitted: Fitted) -> None:
     panels[2].plot(time, experiment.torque, color=INK, lw=1.2)
     panels[2].plot(time, run.torque[0], color=SOFT, lw=0.8)
     panels[2].set_ylabel("torque (Nm)")
-    left = fine * (experiment.position - run.position[0])
+    left = fine * experiment.residuals(run.position[0], run.torque[0])[:, 0]
     panels[3].plot(time, left, color="0.3", lw=0.7)
     floor = fine * fitted.floor_position
     panels[3].axhspan(-2 * floor, 2 * floor, color=INK, alpha=0.12, lw=0)
@@ -135,7 +135,8 @@ def _spectrum(path: Path, fitted: Fitted) -> None:
         (experiment.position, experiment.torque, INK, "measured"),
         (run.position[0], run.torque[0], SOFT, "twin"),
     ):
-        frequency, gain = _response(experiment.time, position * gear, torque)
+        period, (angle, even_torque) = experiment.even(position * gear, torque)
+        frequency, gain = _response(period, angle, even_torque)
         panel.loglog(frequency, gain, color=color, lw=1.2, label=label)
     panel.set_xlabel("frequency (Hz)")
     panel.set_ylabel("acceleration over torque (1/kg·m²)")
@@ -145,13 +146,10 @@ def _spectrum(path: Path, fitted: Fitted) -> None:
 
 
 def _response(
-    time: np.ndarray, position: np.ndarray, torque: np.ndarray
+    period: float, position: np.ndarray, torque: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gain by Welch's method with half-overlapping windows, of samples that may be missing."""
-    period = float(np.median(np.diff(time)))
-    at = np.arange(time[0], time[-1], period)
-    position, torque = np.interp(at, time, position), np.interp(at, time, torque)
-    count = len(at)
+    """Gain by Welch's method with half-overlapping windows."""
+    count = len(position)
     length = min(1 << int(np.log2(max(count // 4, 16))), 1024)
     window = np.hanning(length)
     cross: Any = 0.0

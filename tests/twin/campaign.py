@@ -30,6 +30,7 @@ from servogym.envs.engine.replay import Replay
 from servogym.envs.twin.experiment import Unusable, experiment
 from servogym.envs.twin.families import FAMILIES, GAINS
 from servogym.envs.twin.fit import fit
+from servogym.envs.twin.reconstruction import expected
 
 HIDDEN = ("coulomb_friction", "viscous_friction")
 READ = ("od.position_actual_value", "od.torque_actual_value", "od.statusword")
@@ -108,10 +109,11 @@ def one(seed, fitted_as, *, truth=None, known=True, period=1e-3, drive="generic"
     cost = time.process_time() - begin
     if truth is not None:
         return twin, {}, math.nan, cost
-    whole = twin.whole[0]
-    quiet = twin.candidates.simulate(whole, [hidden | {"lag": twin.values["lag"]}])
-    held = whole.time >= twin.cuts[0]
-    floor = float(np.sqrt(np.mean((quiet.position[0] - whole.position)[held] ** 2)))
+    values = hidden | {"lag": twin.values["lag"]}
+    whole = expected(twin.candidates, twin.whole[0], values)
+    run = twin.candidates.simulate(whole, [values])
+    left = whole.residuals(run.position[0], run.torque[0])[:, 0]
+    floor = float(np.sqrt(np.mean(left[whole.time >= twin.cuts[0]] ** 2)))
     return twin, hidden, floor, cost
 
 
