@@ -43,6 +43,7 @@ UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrat
 SLIDES = 0.05  # s of motion, after which the integrator has nothing left of what friction held
 SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
 BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
+IRREGULAR = 0.15  # jitter over the period, above which a set-point may be in another cycle
 DRIFT = 5e-4  # share that the clock of a logger may be off, where nothing is sent cyclically
 
 
@@ -259,6 +260,8 @@ def experiment(
         if cycle is not None and places.period > 1.5 * cycle:
             raw = filled(raw, places.even, cycle, hold)
             places = _regular(raw.time, log)
+        if places.jitter > IRREGULAR * places.period:
+            places = _by_clock_of(samples, raw.time, places)
         places, samples = _one_clock(places, samples)
         period = _whole_period(places.period, step, log)
     else:
@@ -301,6 +304,12 @@ def experiment(
         rows, arrives, missed = cyclic_rows(
             signals, raw, clock(places.even), target, used, clock, step, per, lead, count
         )
+        if places.jitter > IRREGULAR * places.period:
+            notes.append(
+                f"the set-points are sent irregularly ({1e3 * places.jitter:.2g} ms rms of a bus "
+                f"cycle of {1e3 * places.period:.3g} ms): if the master was late, the drive moved "
+                "otherwise than the twin; record with a master that keeps its cycle"
+            )
     else:
         events = occasional(dict(signals) | {target: raw}, target, used, clock, step, lead, drive)
         rows, arrives = events.rows(count), np.ones(count, np.uint8)
@@ -387,6 +396,7 @@ class Cadence:
     period: float  # by the clock of the log (s)
     phase: float  # s
     even: np.ndarray  # the stamps without their jitter (s)
+    jitter: float = 0.0  # rms of the stamps about them (s)
 
     def nearest(self, at: float) -> float:
         """The stamp without jitter nearest to a time (s)."""
@@ -409,7 +419,18 @@ def _regular(time: np.ndarray, log: str) -> Cadence:
         period = float(slope)
     number = np.round((time - first) / period)
     slope, first = np.polyfit(number, time, 1)
-    return Cadence(float(slope), float(first), first + slope * number)
+    even = first + slope * number
+    jitter = float(np.sqrt(np.mean((time - even) ** 2)))
+    return Cadence(float(slope), float(first), even, jitter)
+
+
+def _by_clock_of(samples: Cadence, time: np.ndarray, places: Cadence) -> Cadence:
+    """Stamps too irregular to be numbered by their own distances, by the clock of the samples."""
+    period = samples.period / max(round(samples.period / places.period), 1)
+    turns = np.exp(2j * np.pi * time / period).mean()
+    phase = float(np.angle(turns)) / (2 * np.pi) * period
+    number = np.round((time - phase) / period)
+    return Cadence(period, phase, phase + number * period, places.jitter)
 
 
 def _one_clock(places: Cadence, samples: Cadence) -> tuple[Cadence, Cadence]:
@@ -422,7 +443,7 @@ def _one_clock(places: Cadence, samples: Cadence) -> tuple[Cadence, Cadence]:
     for each, period in ((places, rate), (samples, ratio * rate)):
         number = np.round((each.even - each.phase) / each.period)
         phase = float(np.mean(each.even - number * period))
-        found.append(Cadence(period, phase, phase + number * period))
+        found.append(Cadence(period, phase, phase + number * period, each.jitter))
     return found[0], found[1]
 
 

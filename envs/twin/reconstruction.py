@@ -17,6 +17,8 @@ from .experiment import Experiment, Replicas
 SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
 ANSWER = 0.15  # s, that an axis takes to answer a set-point that is off
 REPLICAS = 24  # runs with encoder noise
+TRIMMED = 0.4377  # mean square of the quieter four fifths of standard normal values
+ENOUGH = 20  # differences that tell a noise
 ROUGH = 3  # order of the differences that leave noise and little of a model error
 
 
@@ -124,22 +126,40 @@ def expected(
         known = replicas(experiment.quanta[0])
     experiment = replace(experiment, replicas=known)
     left = experiment.residuals(*quiet[:2])[0, :, 0]
-    return replace(experiment, replicas=replicas(_noise(left, known, experiment.quanta[0])))
+    return replace(experiment, replicas=replicas(_noise(experiment, left)))
 
 
-def _noise(left: np.ndarray, known: Replicas, quantum: float) -> float:
-    """Standard deviation of the encoder noise, from the highest differences of residuals.
+def _noise(experiment: Experiment, left: np.ndarray) -> float:
+    """Standard deviation of the encoder noise (m or rad), from the highest differences.
+
+    Those of the residuals contain noise and what the model does not explain, those of the position
+    at rest contain noise and what moves there. The smaller one counts, so that a wrong model
+    cannot pass its errors off as noise.
 
     Args:
+        experiment: with replicas, whose noise may be of another size.
         left: residuals of position (m or rad), shape ``(m,)``.
-        known: replicas with a noise of another size.
-        quantum: one increment of the log (m or rad), whose rounding is no noise.
     """
-    rounding = math.comb(2 * ROUGH, ROUGH) * quantum**2 / 12
-    present = max(float(np.mean(np.diff(left, ROUGH) ** 2)) - rounding, 0.0)
+    known = experiment.replicas
+    assert known is not None
     added = (known.added - known.mean)[:, :, 0]
-    made = float(np.mean(np.diff(added, ROUGH, axis=1) ** 2))
-    return known.deviation * math.sqrt(present / made) if made > 0.0 else 0.0
+    rest = np.lib.stride_tricks.sliding_window_view(~experiment.moving, ROUGH + 1).all(axis=1)
+    everywhere = np.ones(len(rest), bool)
+    sizes = []
+    for values, at in ((left, everywhere), (experiment.position, rest)):
+        if np.count_nonzero(at) < ENOUGH:
+            continue
+        rounding = math.comb(2 * ROUGH, ROUGH) * experiment.quanta[0] ** 2 / 12
+        present = max(_variance(np.diff(values, ROUGH)[at]) - rounding, 0.0)
+        made = _variance(np.diff(added, ROUGH, axis=1)[:, at].ravel())
+        sizes.append(known.deviation * math.sqrt(present / made) if made > 0.0 else 0.0)
+    return min(sizes, default=0.0)
+
+
+def _variance(values: np.ndarray) -> float:
+    """Variance of normal values about zero, from the quieter four fifths of them."""
+    squares = np.sort(values**2)[: max(round(0.8 * len(values)), 1)]
+    return float(np.mean(squares)) / TRIMMED
 
 
 def _apart(begins: np.ndarray, ends: np.ndarray) -> Sequence[list[int]]:

@@ -423,14 +423,20 @@ def test_a_plan_stays_within_its_limits():
     assert abs(np.diff(found, 2)).max() / period**2 <= 5.0 * 1.1
 
 
+def made_up(time, position, torque):
+    """An experiment of samples alone."""
+    return Experiment(
+        name="log", mode=8, cycle=1e-3, period=1e-3, rows={}, arrives=np.ones(len(time)),
+        begins=0, start=0.0, time=time, position=position, torque=torque, quanta=(1e-6, 1e-3),
+    )
+
+
 @pytest.mark.parametrize(("own", "loss"), [(0.0, 0.0), (0.004, 0.54)])
 @pytest.mark.parametrize("lost", [0.0, 0.005, 0.05])
 def test_regression_finds_an_inertia_of_made_up_torques(lost, own, loss):
     """Closed form: torque = Jm a + T (1 + loss), or (1 - loss) where the load drives, with
     T = J a + Tc sign(v) + B v + T0; and samples that the logger missed.
     """
-    from types import SimpleNamespace
-
     time = np.arange(0, 4, 1e-3)
     position = 0.5 * np.sin(3 * time) + 0.1 * np.sin(11 * time)
     speed, acceleration = (
@@ -440,8 +446,7 @@ def test_regression_finds_an_inertia_of_made_up_torques(lost, own, loss):
     carried = 0.02 * acceleration + 0.1 * np.sign(speed) + 0.05 * speed + 0.01
     torque = own * acceleration + carried + loss * abs(carried) * np.sign(speed)
     keep = np.random.default_rng(1).random(len(time)) >= lost
-    made_up = SimpleNamespace(time=time[keep], position=position[keep], torque=torque[keep])
-    found = regress([made_up], 1.0, own, loss)
+    found = regress([made_up(time[keep], position[keep], torque[keep])], 1.0, own, loss)
     np.testing.assert_allclose(
         [found.inertia, found.coulomb, found.viscous, found.load],
         [own + 0.02, 0.1, 0.05, 0.01],
@@ -452,12 +457,12 @@ def test_regression_finds_an_inertia_of_made_up_torques(lost, own, loss):
 def test_whitening_takes_the_colour_of_an_autoregression():
     """Oracle: the process that made it."""
     rng = np.random.default_rng(1)
-    made_up = np.zeros((20_000, 2))
-    shocks = rng.normal(size=made_up.shape) * [1.0, 0.3]
-    for n in range(1, len(made_up)):
-        made_up[n] = np.array([[0.8, 0.1], [-0.2, 0.5]]) @ made_up[n - 1] + shocks[n]
-    noise = colour([made_up], [np.ones(len(made_up), bool)])
-    white = noise.white(made_up)[50:]
+    process = np.zeros((20_000, 2))
+    shocks = rng.normal(size=process.shape) * [1.0, 0.3]
+    for n in range(1, len(process)):
+        process[n] = np.array([[0.8, 0.1], [-0.2, 0.5]]) @ process[n - 1] + shocks[n]
+    noise = colour([process], [np.ones(len(process), bool)])
+    white = noise.white(process)[50:]
     assert np.cov(white.T) == pytest.approx(np.eye(2), abs=0.05)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02
     assert isinstance(noise, Noise)
@@ -520,10 +525,6 @@ def test_a_torque_at_rest_counts_from_where_the_axis_has_slid(moves_at, torque, 
     """No torque, one that friction has left, none at rest, and a move that the log cuts off."""
     time = np.arange(0.0, 2.0, 1e-3)
     position = 0.05 * np.maximum(time - moves_at, 0.0)
-    found = Experiment(
-        name="log", mode=8, cycle=1e-3, period=1e-3, rows={},
-        arrives=np.ones(len(time)), begins=0, start=0.0, time=time, position=position,
-        torque=np.full(len(time), torque), quanta=(1e-6, 1e-3),
-    )
+    found = made_up(time, position, np.full(len(time), torque))
     assert found.known == pytest.approx(known, abs=0.02)
     assert found.moving.any()
