@@ -61,6 +61,7 @@ def content(
             "following_error_left": _short(held["following_error"]),
             "torque_left": _short(held["torque"]),
             "fitted_position_rms": _short(inside["position_rms"]),
+            "fitted_ratio": _short(fitted.fitted_ratio),
             "increment": _short(fitted.increment),
         },
         "verdict": fitted.verdict,
@@ -72,7 +73,7 @@ def content(
         "logs": [{"name": log.name, "sha256": _digest(log)} for log in logs],
         "tried": {
             each.family.name: {"position_rms": _short(each.held_position),
-                               "ratio": _short(each.ratio), "verdict": each.verdict}
+                               "ratio": _short(each.misfit), "verdict": each.verdict}
             for each in tried
         },
     }

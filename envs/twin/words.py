@@ -3,7 +3,7 @@
 import numpy as np
 
 from .candidates import LAG
-from .fit import FAIR, GOOD, Fitted
+from .fit import GOOD, Fitted
 
 WIDE = 0.15  # half an interval over the value, above which a parameter is poorly known
 TIED = 0.97  # correlation above which two estimates can no longer be separated
@@ -125,11 +125,13 @@ def verdict(fitted: Fitted) -> str:
         else f"{fitted.ratio:.2f} times what the encoder's noise alone would leave "
         f"({scale * fitted.floor_position:.3g} {unit})"
     )
+    if fitted.fitted_ratio > max(fitted.ratio, GOOD):
+        figures += f"; in the fitted part {fitted.fitted_ratio:.2f} times"
     if not fitted.complete:
         return f"interrupted: the best so far, without intervals; {figures}"
-    if fitted.ratio <= GOOD:
+    if fitted.verdict == "good":
         return f"good: trust it; {figures}"
-    if fitted.ratio <= FAIR:
+    if fitted.verdict == "fair":
         return f"fair: trust the motion, use the parameters with care; {figures}"
     return (
         f"refused: do not trust it; {figures}. The family {fitted.family.name} does not describe "

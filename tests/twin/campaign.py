@@ -2,9 +2,10 @@
 
     python tests/twin/campaign.py ROWS.jsonl [SERIES[:COUNT] ...]
 
-plays the machines whose rows are missing or of an older estimator, of all series or of those whose
-names begin so, and writes a line for each. A log has 0.5 % of its frames missing, stamps that jitter by 0.2 ms and an encoder
-with noise of 0.2 to 1 µm. `page.py` makes the tables of docs/results/twin.md of the rows.
+plays the machines whose rows are missing or were made by another estimator, and writes a line for
+each. SERIES is the beginning of a name; without it, all series are played. A log lacks 0.5 % of its
+frames, its stamps jitter by 0.2 ms, and its encoder has noise of 0.2 to 1 µm. `page.py` makes the
+tables of docs/results/twin.md from the rows.
 """
 
 import ast

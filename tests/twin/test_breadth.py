@@ -15,13 +15,15 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import buses
 from buses import CELLS, HIDDEN, cell, record
-from campaign import stream
+from campaign import NAMES, READ, stream
+from campaign import row as machine_of
 from machines import Node, hide, moves
 
 from servogym.drive.model.model import load
 from servogym.drive.wire.recording import Signal, Source
 from servogym.envs import linear_axis
 from servogym.envs.engine import parameters
+from servogym.envs.engine.replay import Replay
 from servogym.envs.panel.session import Session
 from servogym.envs.plants.catalogue import fresh
 from servogym.envs.twin import logs
@@ -29,8 +31,8 @@ from servogym.envs.twin.candidates import LAG, Candidates
 from servogym.envs.twin.estimate import FreeParameter, Search
 from servogym.envs.twin.experiment import experiment
 from servogym.envs.twin.families import FAMILIES
-from servogym.envs.twin.fit import best_lag
-from servogym.envs.twin.reconstruction import restored, timed
+from servogym.envs.twin.fit import best_lag, fit
+from servogym.envs.twin.reconstruction import expected, restored, timed
 from servogym.training.cli import main
 
 EACH = [(model, bus, mode) for model, bus, modes in CELLS for mode in modes]
@@ -151,6 +153,122 @@ def test_a_set_point_is_moved_to_the_cycle_that_the_axis_shows(moves_in_pp):
     left = left_over(found, "generic", hidden)
     assert error(found) > 10 * left
     assert left < 4 * NOISE
+
+
+@pytest.fixture(scope="module")
+def coarse_pp(tmp_path_factory):
+    """A log in profile position with a sample every 10 ms, and a fit's candidates and truth."""
+    rng = np.random.default_rng(1)
+    machine = linear_axis(load("festo_cmms", "can"))
+    hidden = hide(machine, rng, HIDDEN)
+    log = record(machine, tmp_path_factory.mktemp("pp10") / "a.log", rng, "pp", 1e-2, noise=NOISE,
+                 seconds=3.0)
+    (found,) = logs.read([log], RIGID.make("festo_cmms"), "festo_cmms", "x")
+    candidates = Candidates(lambda: RIGID.make("festo_cmms"), "x")
+    values = hidden | {LAG: best_lag(candidates, found, hidden | {LAG: 0.0})}
+    found = timed(candidates, found, values)
+    search = Search(candidates, [found], hidden)
+    lag = FreeParameter(LAG, values[LAG], -0.02, 0.2, 2e-5)
+    return found, candidates, search.descend([lag], values, search.start_noise(), 4).values
+
+
+def rms(experiment, candidates, values):
+    """What a machine leaves of a log's position while the axis moves (m)."""
+    run = candidates.simulate(experiment, [values])
+    left = experiment.residuals(run.position[0], run.torque[0])[experiment.moving, 0]
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def test_encoder_noise_moves_the_expected_path_of_an_axis_with_friction(coarse_pp):
+    """The oracle is a log of another program path, with noise of its own."""
+    found, candidates, values = coarse_pp
+    replicated = expected(candidates, expected(candidates, found, values), values)
+    assert replicated.replicas.deviation == pytest.approx(NOISE, rel=0.3)
+    assert rms(replicated, candidates, values) < 0.75 * rms(found, candidates, values)
+
+
+def test_a_wrong_model_cannot_pass_its_errors_off_as_noise(coarse_pp):
+    found, candidates, values = coarse_pp
+    wrong = values | {"coulomb_friction": 3 * values["coulomb_friction"], "payload": 20.0}
+    replicated = expected(candidates, expected(candidates, found, wrong), wrong)
+    assert rms(found, candidates, wrong) > 20 * NOISE
+    assert replicated.replicas.deviation < 3 * NOISE
+
+
+def late(machine, rng, every, seconds=4.0, period=1e-3):
+    """The signals of a master that is late now and then; the drive gets set-points when they come.
+
+    Each frame comes 0.2 ms late on average, 0.5 % of them 1 to 8 ms; samples are seen `every` few
+    cycles. The stamps are right to 50 µs.
+    """
+    parameters.apply(machine, {"encoder_noise": NOISE})
+    places = moves(rng, seconds, period)
+    drive, lead = machine.drives["x"], 300
+    gear = machine.joint("x")[0]
+    unit = float(drive.axis.rad_per_position_unit) / gear
+    machine.reset({"x": float(places[0])})
+    machine.step()
+    wanted = round(float(places[0]) * gear / float(drive.axis.rad_per_increment))
+    drive.axis.zero_counts, drive.axis.homed = int(drive.axis.counts) - wanted, 1
+    drive.commission({"interpolation_time_index": -3, "interpolation_time_period_value": 1,
+                      "following_error_window": 2**31 - 1})
+    units = np.round(np.concatenate([np.full(lead, places[0]), places]) / unit)
+    held_up = rng.exponential(2e-4, len(units))
+    held_up += (rng.random(len(units)) < 0.005) * rng.uniform(1e-3, 8e-3, len(units))
+    held_up[:lead] = 0.0
+    comes = np.maximum.accumulate(np.arange(len(units)) * period + held_up)
+    per = round(period / machine.cycle_time)
+    layout = Replay("x", ["controlword", "modes_of_operation", "target_position"], READ)
+    rows = np.zeros(per * len(units), layout.written)
+    at = np.ceil(comes / machine.cycle_time - 1e-9).astype(int)
+    last = np.searchsorted(at, np.arange(len(rows)), "right") - 1
+    rows["target_position"] = units[np.clip(last, 0, None)]
+    rows["controlword"], rows["modes_of_operation"] = 15, 8
+    rows["controlword"][: 10 * per], rows["controlword"][10 * per : 20 * per] = 6, 7
+    arrives = np.zeros(len(rows), bool)
+    arrives[at[at < len(rows)]] = True
+    run = layout.run([machine], rows, arrives)[0][lead * per :][per * every - 1 :: per * every]
+    stamps = comes[lead:] - lead * period + rng.uniform(0, 5e-5, len(places))
+    time = np.arange(1, len(run) + 1) * every * period + rng.uniform(0, 5e-5, len(run))
+    return {"target_position": Signal(stamps, units[lead:], "")} | {
+        name: Signal(time, run[column].astype(float), "")
+        for column, name in zip(READ, NAMES, strict=True)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_twin_of_late_set_points_is_refused_and_says_what_to_record(seed, every):
+    machine = linear_axis()
+    rng = np.random.default_rng(seed)
+    hidden = hide(machine, rng, HIDDEN)
+    found = experiment(late(machine, rng, every), RIGID.make("generic"), "x")
+    assert any("irregularly" in note and "record" in note for note in found.notes)
+    twin = fit([found], "generic", RIGID, gains_known=True)
+    assert twin.verdict == "refused"
+    for name, true in hidden.items():
+        low, high = twin.estimate.interval(name)
+        assert low <= true <= high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("series", "seed"),
+    [("load on a spring", 1207), ("load on a spring", 1214), ("vertical", 1424)],
+)
+def test_a_search_follows_the_valley_in_which_an_axis_moves_alike(series, seed):
+    row = machine_of(series, seed)
+    assert row["verdict"] == "good"
+    payload = row["parameters"]["payload"]
+    assert payload["found"] == pytest.approx(payload["true"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_model_that_does_not_repeat_what_it_was_fitted_to_is_refused():
+    """The held-out part of this log is so quiet that a rigid axis explains it; the rest is not."""
+    row = machine_of("a spring as rigid", 1318)
+    assert row["held_out"] < 2 * row["floor"]
+    assert row["verdict"] == "refused"
 
 
 def test_moves_whose_ramps_are_not_in_the_log_are_a_note(moves_in_pp):

@@ -321,7 +321,7 @@ def _against(options: argparse.Namespace, console: Console) -> int:
     found = changes(twin, best)
     for change in found:
         print(change)
-    print(f"{best.verdict}: held-out position error {best.ratio:.2f} times the noise floor")
+    print(f"{best.verdict}: position error {best.misfit:.2f} times the noise floor")
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
         rows = {"against": str(options.against), "verdict": best.verdict, "changes": table(found)}
