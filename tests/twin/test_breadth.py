@@ -166,14 +166,15 @@ def coarse_pp(tmp_path_factory):
     (found,) = logs.read([log], RIGID.make("festo_cmms"), "festo_cmms", "x")
     candidates = Candidates(lambda: RIGID.make("festo_cmms"), "x")
     values = hidden | {LAG: best_lag(candidates, found, hidden | {LAG: 0.0})}
-    found = timed(candidates, found, values)
-    search = Search(candidates, [found], hidden)
-    lag = FreeParameter(LAG, values[LAG], -0.02, 0.2, 2e-5)
-    return found, candidates, search.descend([lag], values, search.start_noise(), 4).values
+    return timed(candidates, found, values), candidates, values
 
 
 def rms(experiment, candidates, values):
-    """What a machine leaves of a log's position while the axis moves (m)."""
+    """What a machine leaves of a log's position while the axis moves (m), with its best lag."""
+    fixed = {name: value for name, value in values.items() if name != LAG}
+    search = Search(candidates, [experiment], fixed)
+    lag = FreeParameter(LAG, values[LAG], -0.02, 0.2, 2e-5)
+    values = search.descend([lag], values, search.start_noise(), 4).values
     run = candidates.simulate(experiment, [values])
     left = experiment.residuals(run.position[0], run.torque[0])[experiment.moving, 0]
     return float(np.sqrt(np.mean(left**2)))
