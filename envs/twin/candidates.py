@@ -13,23 +13,23 @@ from ..engine.machine import Machine
 from ..engine.replay import Replay
 from .experiment import Experiment
 
-LAG = "lag"  # s, from a set-point on the bus to a sample on it: of no machine, found beside it
-SEED = "seed"  # of the encoder's noise: of no machine either
+LAG = "lag"  # s, from a set-point on the bus to a sample on it; not a parameter of a machine
+SEED = "seed"  # of the encoder's noise; not a parameter of a machine either
 BESIDE = (LAG, SEED)
 READ = ("torque", "position_demand", "shaft_angle", "zero_counts")
-COARSE = 2000  # increments a motor revolution, below which a place within one is looked at
-UNWATCHED = {  # the machine of the log has run on: what would stop its twin stands down
+COARSE = 2000  # increments a motor revolution, below which the place within one matters
+UNWATCHED = {  # the machine of the log kept running, so monitoring must not stop its twin
     "following_error_window": (2**31 - 1,), "undervoltage": (0,), "overvoltage": (2**31 - 1,),
 }
-SMOOTH = 1 << 24  # increments a revolution: derivatives of what they round are noise
+SMOOTH = 1 << 24  # increments a revolution; with fewer, rounding makes derivatives noisy
 UNITS = ("rad_per_position_unit", "rad_s_per_velocity_unit", "velocity_gain_unit",
          "position_gain_unit")
-UNLIMITED = (2**31 - 1, 32767)  # 1/min, the first that the model takes
-MARGIN = 2e-3  # m or rad, that an experiment stays away from the ends of the joint
+UNLIMITED = (2**31 - 1, 32767)  # 1/min; the first one that the model accepts is used
+MARGIN = 2e-3  # m or rad, distance of an experiment from the ends of the joint
 
 
 class Simulated(NamedTuple):
-    """What candidates did at the samples of an experiment; each of shape ``(candidates, m)``."""
+    """Simulated values at the samples of an experiment, each of shape ``(candidates, m)``."""
 
     position: np.ndarray  # m or rad
     torque: np.ndarray  # Nm
@@ -40,18 +40,18 @@ class Simulated(NamedTuple):
 
 
 class Candidates:
-    """Machines of one kind, and the state each experiment begins in.
+    """Machines of one kind, and the state in which each experiment begins.
 
     Args:
-        make: makes one, commissioned.
-        drive: that moves; the others of the machine hold their place.
-        count: how many run side by side.
+        make: builds one commissioned machine.
+        drive: name of the drive that moves; the other drives hold their position.
+        count: number of machines that run in parallel.
     """
 
     def __init__(self, make: Callable[[], Machine], drive: str | None = None, count: int = 12):
         self.machines = [make() for _ in range(count)]
         self.drive = next(iter(self.machines[0].drives)) if drive is None else drive
-        for machine in self.machines:  # what was commissioned counts from the first cycle on
+        for machine in self.machines:  # commissioned values take effect in the first cycle
             machine.step()
         self.joints = [parameters.Joint(m, self.drive) for m in self.machines]
         axis = self.joint.drive.axis
@@ -66,18 +66,18 @@ class Candidates:
 
     @property
     def joint(self) -> parameters.Joint:
-        """The first one's."""
+        """The joint of the first machine."""
         return self.joints[0]
 
     @property
     def fault(self) -> int:
-        """Error code (603Fh) of the first machine where its last run ended in a fault, else 0."""
+        """Error code (603Fh) of the first machine if its last run ended in a fault, else 0."""
         axis = self.joint.drive.axis
         stopped = State(int(axis.state)) in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         return int(axis.od.error_code) if stopped else 0
 
     def _start(self, experiment: Experiment, count: int) -> tuple[list[bytes], np.ndarray]:
-        """Snapshots of some machines, off and at rest where the rows begin, and the rows."""
+        """Return snapshots of machines at rest where the rows begin, and the rows."""
         kept = self._starts.get(id(experiment))
         if kept is None or kept[0] is not experiment:
             images = np.zeros(len(experiment.arrives), self._layout(experiment).written)
@@ -88,7 +88,7 @@ class Candidates:
         begin = self._begin(experiment) if len(starts) < count else 0.0
         for machine, new in zip(self.machines[len(starts) : count], self._new[len(starts) :],
                                 strict=False):
-            machine.restore(new)  # nothing is left of what it ran with before, such as its noise
+            machine.restore(new)  # removes the settings of earlier runs, such as noise
             starts.append(_stand(machine, self.drive, begin, experiment, self.smooth))
         return starts, images
 
@@ -96,7 +96,7 @@ class Candidates:
         return Replay(self.drive, [*experiment.rows], READ)
 
     def _begin(self, experiment: Experiment) -> float:
-        """Where the machine stands before the rows, as the drive counts (m or rad)."""
+        """Return the position of the machine before the rows, as the drive counts (m or rad)."""
         target = experiment.rows.get("target_position")
         if target is None or experiment.mode == 1:
             return experiment.start
@@ -107,11 +107,11 @@ class Candidates:
         return experiment.start + moved
 
     def simulate(self, experiment: Experiment, values: Sequence[Mapping[str, float]]) -> Simulated:
-        """Repeat an experiment with each of some sets of values.
+        """Repeat an experiment with each set of parameter values.
 
         Args:
-            experiment: what is repeated.
-            values: of parameters by name, `LAG` among them.
+            experiment: the experiment to repeat.
+            values: parameter values by name, including `LAG`.
         """
         parts = [
             self._some(experiment, values[n : n + len(self.machines)])
@@ -137,7 +137,7 @@ class Candidates:
         demand = found["position_demand"] / gear
         at = np.array([experiment.time - given.get(LAG, 0.0) for given in values])
         at = at / experiment.cycle + begins - 1.0
-        # of the shaft: between increments, as far as the last sample of the row is behind its first
+        # shaft position between increments; the last sample of a row lies after its first
         fine = found["shaft_angle"] / gear - zero
         if self.coarse:
             fine -= 0.5 * self.increment
@@ -153,7 +153,7 @@ class Candidates:
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
-    """Set parameters of one machine, what is `BESIDE` them left out."""
+    """Set the parameters of one machine; entries in `BESIDE` are not parameters."""
     joint.set({name: value for name, value in values.items() if name not in BESIDE})
     if SEED in values:
         joint.coupling.noise_state = int(values[SEED])
@@ -162,7 +162,7 @@ def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:
 def _stand(
     machine: Machine, drive: str, begin: float, experiment: Experiment, smooth: bool
 ) -> bytes:
-    """Bring a machine to where an experiment begins; -> a snapshot of it."""
+    """Bring a machine to the start of an experiment and return a snapshot of it."""
     low, high = machine.range(drive)
     reach = np.concatenate([[begin], experiment.position])
     least, most = float(reach.min()), float(reach.max())
@@ -172,7 +172,7 @@ def _stand(
     x = machine.drives[drive]
     limits = x.axis.position_limit_min, x.axis.position_limit_max
     first, last = sorted(float(limit) / machine.joint(drive)[0] for limit in limits)
-    if shift or least < first or most > last:  # the log has been there
+    if shift or least < first or most > last:  # the logged axis moved beyond these limits
         x.commission({"min_position_limit": 0, "max_position_limit": 0})
     for name, values in UNWATCHED.items():
         _first(x, name, values)
@@ -201,13 +201,13 @@ def _stand(
 
 
 def _smooth(machine: Machine, drive: str) -> None:
-    """Give it an encoder of many increments, where no unit of the drive depends on it."""
+    """Give the drive a fine encoder, unless a unit of the drive depends on its resolution."""
     axis: Any = machine.drives[drive].axis
     before = [float(getattr(axis, name)) for name in UNITS]
     had = axis.od.position_encoder_resolution.copy()
     if 2 * np.pi / float(axis.rad_per_increment) >= SMOOTH:
         return
-    for resolution in ((SMOOTH, 1), had):  # in the record: of some models it is no object
+    for resolution in ((SMOOTH, 1), had):  # in the record, as some models lack the object
         axis.od.position_encoder_resolution[:] = resolution
         axis.parameters_changed, axis.sampled = 1, 0
         machine.step()
@@ -216,7 +216,7 @@ def _smooth(machine: Machine, drive: str) -> None:
 
 
 def _first(drive: Drive, name: str, values: Sequence[int]) -> None:
-    """Write the first of some values that the drive takes, if it has the object at all."""
+    """Write the first of some values that the drive accepts, if the drive has the object."""
     for value in values:
         with suppress(ValueError, KeyError):
             drive.commission({name: value})
@@ -224,7 +224,7 @@ def _first(drive: Drive, name: str, values: Sequence[int]) -> None:
 
 
 def _fastest(experiment: Experiment, axis: Any, gear: float) -> float:
-    """Speed (rad/s) of the shaft that set-points or motion of an experiment ask for."""
+    """Return the highest shaft speed (rad/s) of the set-points or the measured motion."""
     target = experiment.rows.get("target_position")
     asked = 0.0
     if target is not None and experiment.arrives.mean() > 0.01:  # cyclic
@@ -234,13 +234,13 @@ def _fastest(experiment: Experiment, axis: Any, gear: float) -> float:
 
 
 def _places(machine: Machine) -> dict[str, float]:
-    """The middles of all joints that have ends."""
+    """Return the mid-range position of each joint with a limited range."""
     ranges = {name: machine.range(name) for name in machine.drives}
     return {n: 0.5 * (low + high) for n, (low, high) in ranges.items() if np.isfinite(high - low)}
 
 
 def _at(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Rows between their places, by the cubic through the four nearest; shape of `at`."""
+    """Interpolate rows by the cubic through the four nearest; the result has the shape of `at`."""
     last = rows.shape[1] - 3
     left = np.clip(np.floor(at).astype(int), 1, last)
     t = np.clip(at - left, -1.0, 2.0)

@@ -1,12 +1,12 @@
 """Least squares on re-simulation, with residuals made white.
 
-The noise of an encoder passes the control loop, so what a right model leaves over is coloured, in
-position and torque together. Least squares on it as it is would be consistent and its confidence
-intervals wrong. Here the residuals of position and torque are filtered by the inverse of an
-autoregression fitted to them, the prediction-error method (Ljung, System Identification, 1999,
-chapter 7); what is left is white, and its covariance that of the estimate. Where the noise is not
-stationary, at rest behind dry friction, the sandwich of short blocks corrects the intervals (White
-1980); the wider one counts.
+The encoder's noise passes through the control loop, so the residuals of a correct model are
+coloured, in position and torque together. Ordinary least squares would be consistent, but its
+confidence intervals would be wrong. The residuals of position and torque are therefore filtered by
+the inverse of an autoregression fitted to them, the prediction-error method (Ljung, System
+Identification, 1999, chapter 7). The filtered residuals are white and give the covariance of the
+estimate. Noise is not stationary where friction holds the axis, so a sandwich estimator over short
+blocks corrects the intervals (White 1980); the wider interval is used.
 """
 
 import math
@@ -19,29 +19,29 @@ from .candidates import LAG, Candidates
 from .experiment import Experiment
 
 ORDER = 6  # of the autoregression
-BLOCK, MOVE = 0.05, 0.25  # s, of the sandwich; of what is no noise but the same in each move
-TRIES = (0.03, 1.0, 30.0)  # of the damping, side by side
-SMALL = 1e-4  # of the cost, a step that gains less is the last one of a search from far away
-CLOSE = 0.05  # of the sum of squares of white residuals; near the end the same
-GRAINS = 20  # shortest difference of what is rounded
-REACH = 10  # standard errors a derivative is taken over, either way
+BLOCK, MOVE = 0.05, 0.25  # s, blocks of the sandwich; with a coarse encoder a block is a move
+TRIES = (0.03, 1.0, 30.0)  # factors of the damping, simulated in parallel
+SMALL = 1e-4  # share of the cost; a search from far away ends with a smaller gain
+CLOSE = 0.05  # the same near the optimum, in the sum of squares of white residuals
+GRAINS = 20  # shortest difference of a rounded value, in its increments
+REACH = 10  # standard errors over which a derivative is taken, to either side
 FINEST = 1e-5  # shortest difference of a derivative, of the value or of the first difference
-DIFFERENCES = 3  # order that leaves noise and little of a model error
+DIFFERENCES = 3  # order of differences that keep noise and little of a model error
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter that is looked for.
+    """A parameter to be estimated.
 
     Args:
-        name: of the parameter, or `LAG`.
-        start: where the search begins.
+        name: name of the parameter, or `LAG`.
+        start: start value of the search.
         low: lowest value.
         high: highest value.
-        step: of the difference that the derivative is taken over.
-        log: the search goes in ratios.
-        grain: what the drive rounds it to, over its value.
-        share: of the step that the derivative is taken over.
+        step: difference over which the derivative is taken.
+        log: the search uses ratios.
+        grain: increment to which the drive rounds the value, over the value.
+        share: share of `step` over which the derivative is taken.
     """
 
     name: str
@@ -68,11 +68,11 @@ class FreeParameter:
         return self.share * (math.log1p(self.step) if self.log else 1.0)
 
     def finer(self, error: float) -> "FreeParameter":
-        """With differences of some standard errors, in which the machine is linear.
+        """Return the parameter with differences of some standard errors.
 
-        Shorter ones would be of single events: where an axis sticks, and where a gap closes, is
-        another place for each value, and what this leaves is worth about seven standard errors,
-        however short the difference. They also stay longer than what the drive rounds.
+        A shorter difference would measure single events. The position at which an axis sticks, or a
+        gap closes, changes with each value, and this effect is worth about seven standard errors
+        however short the difference is. Differences also stay longer than the drive's rounding.
         """
         full = math.log1p(self.step) if self.log else 1.0
         least = max(FINEST, GRAINS * self.grain) / self.step
@@ -81,14 +81,14 @@ class FreeParameter:
 
 @dataclass
 class Noise:
-    """What whitens residuals: an autoregression and the covariance of what it leaves."""
+    """A whitening filter: an autoregression, and the covariance of its innovations."""
 
     scales: tuple[float, float]  # of position (m or rad) and torque (Nm)
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))
     inverse: np.ndarray = field(default_factory=lambda: np.eye(2))  # of the covariance's factor
 
     def white(self, residuals: np.ndarray) -> np.ndarray:
-        """Residuals ``(n, 2)`` in their units, or ``(k, n, 2)``, without colour and of size 1."""
+        """Return residuals ``(n, 2)`` or ``(k, n, 2)``, in their units, as white ones of size 1."""
         scaled = residuals / np.array(self.scales)
         left = scaled.copy()
         for lag, matrix in enumerate(self.coefficients, 1):
@@ -101,8 +101,8 @@ def colour(
 ) -> Noise:
     """Fit the autoregression to residuals ``(n, 2)`` of several experiments.
 
-    It is that of the motion: at rest dry friction keeps what noise has left, which looks like a
-    noise of very low frequency, and would hide a torque that is wrong all the time.
+    Only samples of motion count. At rest, dry friction keeps the position that noise has left. That
+    looks like noise of very low frequency and would hide a constant error of the torque.
     """
     ahead, behind = [], []
     for each, on in zip(residuals, moving, strict=True):
@@ -129,7 +129,7 @@ def colour(
 
 @dataclass
 class Estimate:
-    """Where a search ended."""
+    """The result of a search."""
 
     values: dict[str, float]
     cost: float  # mean square of the white residuals, about 1 where the noise explains it
@@ -139,9 +139,9 @@ class Estimate:
     jacobian: np.ndarray  # of the white residuals by the inner coordinates
 
     def finer(self, smooth: bool = True) -> list[FreeParameter]:
-        """What is looked for, with differences of some standard errors, all others held.
+        """Return the free parameters with differences of some standard errors, others held.
 
-        As they were where the machine is not `smooth`: its increments hide short differences.
+        They stay as they are if the machine is not `smooth`, as increments hide short differences.
         """
         if not smooth:
             return self.free
@@ -150,7 +150,7 @@ class Estimate:
         return [f.finer(float(error)) for f, error in zip(self.free, errors, strict=True)]
 
     def interval(self, name: str, quantile: float = 2.07) -> tuple[float, float]:
-        """Low and high of a parameter, 95 % by default (t of 23 degrees of freedom)."""
+        """Return the interval of a parameter, 95 % by default (t of 23 degrees of freedom)."""
         at = [each.name for each in self.free].index(name)
         free = self.free[at]
         inner = free.inner(max(self.values[name], 1e-300) if free.log else self.values[name])
@@ -170,9 +170,9 @@ class Search:
 
     Args:
         candidates: machines of the family.
-        experiments: what they are to repeat.
-        fixed: parameters that are known.
-        progress: is called after each step with the values and the cost.
+        experiments: the experiments to repeat.
+        fixed: values of known parameters.
+        progress: called after each step with the values and the cost.
     """
 
     def __init__(
@@ -202,14 +202,14 @@ class Search:
         ]
 
     def noise(self, values: Mapping[str, float]) -> Noise:
-        """The colour of what some values leave over."""
+        """Fit the whitening filter to the residuals of some values."""
         return colour([each[0] for each in self.residuals([values])], self._moving)
 
     def start_noise(self) -> Noise:
-        """Before anything is known: what high differences of the measured values leave.
+        """Return the noise before anything is known, from high differences of the measured values.
 
-        Of a coarse encoder an increment, and a tenth of the highest torque: what differs from run
-        to run of one machine, as an edge comes a cycle sooner or later, has no such colour.
+        For a coarse encoder it is one increment, and a tenth of the highest torque: runs of one
+        machine differ by the cycle in which an encoder edge comes, which has no such colour.
         """
         if self.candidates.coarse:
             highest = max(float(np.abs(each.torque).max()) for each in self.experiments)
@@ -220,7 +220,7 @@ class Search:
         return Noise((max(p, q_p, 1e-9), max(t, q_t, 1e-6)))
 
     def cost(self, values: Sequence[Mapping[str, float]], noise: Noise) -> np.ndarray:
-        """Mean square of white residuals of each set of values."""
+        """Return the mean square of the white residuals for each set of values."""
         parts = self.white(values, noise)
         total = sum(np.sum(np.square(part), axis=(1, 2)) for part in parts)
         count = sum(part.shape[1] * 2 for part in parts)
@@ -231,11 +231,12 @@ class Search:
         self, free: Sequence[FreeParameter], values: Mapping[str, float], noise: Noise,
         steps: int = 10, close: bool = False,
     ) -> Estimate:
-        """Levenberg and Marquardt, candidates side by side.
+        """Minimise the cost by Levenberg-Marquardt, with candidates in parallel.
 
-        With `close` it ends where the sum of squares stands still, of which one is a standard
-        error, and the last Jacobian is central; else where its ratio does. Where an axis sticks
-        just so, residuals jump: where no step helps, each derivative is that of the quieter side.
+        With `close`, the search ends when the sum of squares changes by a small part of one, which
+        is a standard error, and the last Jacobian is central; otherwise when the relative gain is
+        small. Residuals jump where an axis only just sticks. If no step helps, each derivative is
+        taken on the quieter side.
         """
         free = list(free)
         x = np.array([f.inner(max(values[f.name], f.low)) for f in free])
@@ -320,7 +321,7 @@ class Search:
         self, free: Sequence[FreeParameter], x: np.ndarray, noise: Noise, central: bool,
         side: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """White residuals, and their derivatives by the inner coordinates."""
+        """Return the white residuals and their derivatives by the inner coordinates."""
         points = [x]
         for n, f in enumerate(free):
             for sign in (1.0, -1.0) if central else (side,):
@@ -349,7 +350,7 @@ class Search:
     def _covariance(
         self, free: Sequence[FreeParameter], x: np.ndarray, white: np.ndarray, jacobian: np.ndarray
     ) -> np.ndarray:
-        """Covariance of the inner coordinates, for white noise or by blocks: the wider one."""
+        """Return the covariance of the inner coordinates: white noise or blocks, the wider one."""
         gram = jacobian.T @ jacobian
         scale = max(float(np.mean(white**2)), 1e-12)
         size = np.sqrt(np.maximum(np.diag(gram), 1e-30))
@@ -371,12 +372,12 @@ class Search:
 
 
 def _most(free: Sequence[FreeParameter]) -> np.ndarray:
-    """Longest step of the search: half as much again, or ten differences."""
+    """Return the longest step of the search: a factor of two, or ten differences."""
     return np.array([0.7 if f.log else 10.0 for f in free])
 
 
 def _rough(values: np.ndarray) -> float:
-    """Standard deviation of what is left in the highest differences."""
+    """Return the standard deviation of the noise, from high differences."""
     left = np.diff(values, DIFFERENCES)
     ordered = np.sort(np.abs(left))
     if len(ordered) == 0:

@@ -1,10 +1,10 @@
 """A log of one drive as an experiment that can be repeated on a machine.
 
-The time stamps of a bus jitter, drop out and run by another clock. What is sent cyclically is
-brought back to its period: a frame belongs to the nearest cycle, a clock that runs fast or slow is
-stretched to that of the drive, and a cyclic set-point that is missing from the log lies on the
-curve through its neighbours. What is sent on occasion, as a set-point of profile position, keeps
-its time, to the next position cycle.
+The time stamps of a bus log jitter, are incomplete and follow another clock. Cyclic frames are
+moved back to their period: a frame belongs to the nearest cycle, a clock that is fast or slow is
+scaled to that of the drive, and a missing cyclic set-point is interpolated from its neighbours. A
+frame sent on occasion, such as a set-point of profile position, keeps its time, rounded up to the
+next position cycle.
 """
 
 import itertools
@@ -31,20 +31,20 @@ OCCASIONAL = {
     Mode.PROFILE_TORQUE: "target_torque",
 }
 STATE, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
-MODES = ("modes_of_operation_display", "modes_of_operation")  # the first that is in a log
+MODES = ("modes_of_operation_display", "modes_of_operation")  # the first one in a log counts
 OFF = -1000  # no mode of any drive
-LONGEST_GAP = 0.25  # s without a frame that is taken as a hole in the log
-SETTLING = 0.25  # s that a machine stands enabled before the log begins
-SHORTEST = 0.3  # s of a log
-REST = 0.02  # s without motion, from which an experiment in profile position may begin
-MOTION = 1e-3  # m/s or rad/s
-ALIKE = 1.6  # most that set-points travel farther than the axis, or less far
-UNSETTLED = 0.15  # s, of a log's beginning, in which it shows what the integrator brought along
-SLIDES = 0.05  # s of motion, after which the integrator has nothing left of what friction held
-SATURATED = 0.25  # share of the motion at the torque limit, above which a log tells too little
-BEYOND = 1.2  # torque over the limit of the drive, from which it is counted in another unit
+LONGEST_GAP = 0.25  # s without a frame, above which a log is refused
+SETTLING = 0.25  # s that a machine is enabled before the log begins
+SHORTEST = 0.3  # s, minimum duration of a log
+REST = 0.02  # s without motion, after which an experiment in profile position may begin
+MOTION = 1e-3  # m/s or rad/s, above which an axis moves
+ALIKE = 1.6  # largest ratio of the travel of set-points and axis, either way
+UNSETTLED = 0.15  # s at the beginning of a log that depend on the previous integrator state
+SLIDES = 0.05  # s of motion, after which the integrator no longer holds what friction left in it
+SATURATED = 0.25  # share of the motion at the torque limit, above which a log is refused
+BEYOND = 1.2  # torque over the limit of the drive, above which its unit must be another
 IRREGULAR = 0.15  # jitter over the period, above which a set-point may be in another cycle
-DRIFT = 5e-4  # share that the clock of a logger may be off, where nothing is sent cyclically
+DRIFT = 5e-4  # largest relative error of a logger's clock, if nothing is sent cyclically
 
 
 class Unusable(ValueError):
@@ -83,7 +83,7 @@ class Replicas:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Set-points for each position cycle, and the measured values."""
+    """The set-points of each position cycle, and the measured values."""
 
     name: str  # of the log
     mode: int
@@ -105,7 +105,7 @@ class Experiment:
     replicas: Replicas | None = None  # what encoder noise adds to a run of the machine
 
     def moved(self, cycles: np.ndarray) -> "Experiment":
-        """With the motions of its `events` beginning so many rows later."""
+        """Return the experiment with each motion of its `events` begun some rows later."""
         if self.events is None:
             return self
         events = self.events.moved(cycles)
@@ -133,10 +133,10 @@ class Experiment:
 
     @property
     def moving(self) -> np.ndarray:
-        """Which samples belong to motion, shape ``(m,)``.
+        """Mask of the samples in motion, shape ``(m,)``.
 
-        At rest dry friction holds the axis where the noise of the encoder has left it, and the
-        integrator with it: nothing is to be learned of the machine, and no two runs are alike.
+        At rest, dry friction holds the axis and the integrator where encoder noise has left them.
+        Such samples say nothing about the machine and differ from run to run.
         """
         return self._moves & (self.time >= self.known)
 
@@ -147,14 +147,14 @@ class Experiment:
 
     @property
     def known(self) -> float:
-        """From when on the state of the drive is known (s).
+        """Time from which the state of the drive is known (s).
 
-        A log that begins in the middle of a run, between two moves, has a torque at rest: dry
-        friction keeps the integrator as the last move has left it, until the axis slides again. At
-        most half the log is left out for that.
+        A log that begins between two moves shows a torque at rest. Dry friction keeps the
+        integrator as the last move has left it, until the axis slides again. At most half the log
+        is left out for this reason.
 
-        Set-points of a profile are travelled from the demand at their beginning. Where that was
-        before the first motion is not in the log; its end is.
+        A profile starts from the position demand. Before the first motion of a log that demand is
+        unknown, so the comparison begins with the second motion.
         """
         first = min(UNSETTLED, 0.2 * self.duration)
         at_rest = self.torque[: max(int(np.argmax(self._moves)), 1)]
@@ -177,7 +177,7 @@ class Experiment:
         return self.duration / max(len(self.time) - 1, 1)
 
     def until(self, end: float) -> "Experiment":
-        """The first part of the experiment, up to a time (s)."""
+        """Return the first part of the experiment, up to a time (s)."""
         keep = self.time <= end
         n = min(len(self.arrives), self.begins + math.ceil(end / self.cycle) + 40)
         return replace(
@@ -190,7 +190,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Scale:
-    """Factors that convert the numbers of a log to SI."""
+    """Factors that convert the values of a log to SI units."""
 
     position: float  # m or rad a unit
     velocity: float
@@ -217,18 +217,18 @@ def experiment(
     """Make an experiment from the part of a log that belongs to one drive.
 
     Args:
-        signals: by object.
-        machine: whose drive is commissioned as that of the log: its units, cycles and limits.
-        name: of its drive.
-        log: name of it, for what is said of it.
-        mode: of operation; that of the log if not given.
-        torque_constant: Nm/A, for a log that has the current in A instead of a torque.
-        cycle: of the master (s), where the log was sampled more seldom than set-points came.
-        hold: set-points are steps, from sample to sample, not points on a curve.
-        span: from when to when (s), one of `spans`; the longest if not given.
+        signals: signals by object name.
+        machine: machine whose drive is commissioned as the logged one: units, cycles and limits.
+        name: name of its drive.
+        log: name of the log, for messages.
+        mode: mode of operation; by default that of the log.
+        torque_constant: Nm/A, for a log that contains the current in A instead of a torque.
+        cycle: bus cycle of the master (s), if the log was sampled less often.
+        hold: set-points are steps from sample to sample, not points on a curve.
+        span: begin and end (s), one of `spans`; by default the longest.
 
     Raises:
-        Unusable: what is missing, and how to record it.
+        Unusable: the log is unsuitable; the message says how to record a better one.
     """
     drive, scale = machine.drives[name], Scale.of(machine, name)
     notes: list[str] = []
@@ -354,7 +354,7 @@ def experiment(
 
 
 def _within_limits(found: Experiment, drive: Drive) -> None:
-    """Whether the loops were closed: an axis at its torque limit may be anywhere."""
+    """Refuse a log whose torque is at its limit, as the control loops are open there."""
     axis = drive.axis
     limit = 0.995 * min(float(axis.torque_limit_positive), float(axis.torque_limit_negative))
     beyond = float(np.abs(found.torque).max()) / max(limit, 1e-12)
@@ -373,7 +373,7 @@ def _within_limits(found: Experiment, drive: Drive) -> None:
 
 
 def _fitting(asked: np.ndarray, measured: np.ndarray, quantum: float, log: str) -> None:
-    """Whether set-points and positions are of one axis and in one unit."""
+    """Refuse a log whose set-points and positions have different axes or units."""
     travel = float(np.ptp(measured))
     ratio = float(np.ptp(asked)) / max(travel, quantum, 1e-12)
     if not 1 / ALIKE < ratio < ALIKE:
@@ -391,7 +391,7 @@ def _fitting(asked: np.ndarray, measured: np.ndarray, quantum: float, log: str) 
 
 @dataclass(frozen=True)
 class Cadence:
-    """Time stamps of something cyclic, and where they should be."""
+    """Time stamps of cyclic frames, without their jitter."""
 
     period: float  # by the clock of the log (s)
     phase: float  # s
@@ -399,12 +399,12 @@ class Cadence:
     jitter: float = 0.0  # rms of the stamps about them (s)
 
     def nearest(self, at: float) -> float:
-        """The stamp without jitter nearest to a time (s)."""
+        """Return the stamp without jitter that is nearest to a time (s)."""
         return self.phase + round((at - self.phase) / self.period) * self.period
 
 
 def _regular(time: np.ndarray, log: str) -> Cadence:
-    """The period of time stamps, by least squares over their cycle numbers."""
+    """Estimate the period of time stamps by least squares over their cycle numbers."""
     if len(time) < 3:
         raise Unusable(f"{log}: fewer than 3 samples: record the moves with the bus running")
     steps = np.diff(time)
@@ -425,7 +425,7 @@ def _regular(time: np.ndarray, log: str) -> Cadence:
 
 
 def _by_clock_of(samples: Cadence, time: np.ndarray, places: Cadence) -> Cadence:
-    """Stamps too irregular to be numbered by their own distances, by the clock of the samples."""
+    """Number stamps by the clock of the samples, if their own distances are too irregular."""
     period = samples.period / max(round(samples.period / places.period), 1)
     turns = np.exp(2j * np.pi * time / period).mean()
     phase = float(np.angle(turns)) / (2 * np.pi) * period
@@ -434,7 +434,7 @@ def _by_clock_of(samples: Cadence, time: np.ndarray, places: Cadence) -> Cadence
 
 
 def _one_clock(places: Cadence, samples: Cadence) -> tuple[Cadence, Cadence]:
-    """Give what is cyclic by the same clock the same rate; only its phase is then to be found."""
+    """Give set-points and samples of the same clock a common rate, with phases of their own."""
     ratio = round(samples.period / places.period)
     if ratio < 1 or abs(samples.period / places.period / ratio - 1) > 1e-3:
         return places, samples
@@ -448,7 +448,7 @@ def _one_clock(places: Cadence, samples: Cadence) -> tuple[Cadence, Cadence]:
 
 
 def _whole_period(period: float, step: float, log: str) -> float:
-    """The bus period (s) in whole position cycles of the drive."""
+    """Round the bus period (s) to whole position cycles of the drive."""
     cycles = max(round(period / step), 1)
     if abs(cycles * step / period - 1) > 0.02:
         raise Unusable(
@@ -459,9 +459,10 @@ def _whole_period(period: float, step: float, log: str) -> float:
 
 
 def _free_period(period: float, step: float) -> float:
-    """The period of samples (s) that no set-point is bound to: whole cycles where they nearly are.
+    """Return the period of samples (s) that are not tied to set-points.
 
-    What is left is taken for the logger's clock; samples of a drive by its own timer stay.
+    A period close to whole position cycles is rounded to them, as the rest is the error of the
+    logger's clock. Samples taken by another timer keep their period.
     """
     whole = max(round(period / step), 1) * step
     return whole if abs(whole / period - 1) < DRIFT else period
@@ -518,13 +519,13 @@ def _measured_torque(
 
 
 def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, float]]:
-    """From when to when (s) the drive was enabled in one mode of operation.
+    """Return the times (s) between which the drive was enabled in one mode of operation.
 
-    A deployment homes the axis and brings it to a start in other modes, episode after episode. Of
-    several modes a cyclic one counts, then that in which it was enabled longest.
+    A deployment homes the axis and moves it to the start of each episode in other modes. A cyclic
+    mode takes precedence, then the mode in which the drive was enabled longest.
 
     Raises:
-        Unusable: it was never enabled.
+        Unusable: the drive was never enabled.
     """
     if "position_actual_value" not in signals:
         return [(0.0, math.inf)]
@@ -542,7 +543,7 @@ def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, 
     shown = next((signals[name] for name in MODES if name in signals), None)
     if shown is not None:
         mode = _last(shown, word.time)
-    if "controlword" in signals:  # from the command on that takes its power
+    if "controlword" in signals:  # up to the command that disables the drive
         on &= _last(signals["controlword"], word.time) & 0x0F == 0x0F
     kind = np.where(on, mode, OFF)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
@@ -563,13 +564,13 @@ def spans(signals: Mapping[str, Signal], log: str = "log") -> list[tuple[float, 
 
 
 def _last(signal: Signal, at: np.ndarray) -> np.ndarray:
-    """The values, whole numbers, that were the last at some times."""
+    """Return the latest values, as integers, at some times."""
     last = np.searchsorted(signal.time, at, "right") - 1
     return signal.value.astype(int)[np.clip(last, 0, None)]
 
 
 def _inside(signal: Signal, begin: float, end: float) -> Signal:
-    """The part of a signal between two times (s)."""
+    """Return the part of a signal between two times (s)."""
     inside = (signal.time >= begin - 1e-9) & (signal.time <= end + 1e-9)
     return Signal(signal.time[inside], signal.value[inside], signal.unit)
 
@@ -604,7 +605,7 @@ def _mode(
 def _first_rest(
     position: Signal, begin: float, end: float, quantum: float, log: str
 ) -> float:
-    """The first time at which the axis is at rest (s)."""
+    """Return the first time at which the axis is at rest (s)."""
     inside = (position.time >= begin) & (position.time <= end)
     time, value = position.time[inside], position.value[inside]
     if len(time) < 3:
@@ -623,14 +624,14 @@ def _first_rest(
 
 
 def _held(signal: Signal, at: np.ndarray, period: float) -> np.ndarray:
-    """Values at times: of the same cycle, a sample is at most half a period away, else between."""
+    """Return the sample of the same cycle at each time; a missing one is interpolated."""
     place = np.clip(np.searchsorted(signal.time, at - 0.5 * period), 0, len(signal.time) - 1)
     near = np.abs(signal.time[place] - at) <= 0.75 * period
     return np.where(near, signal.value[place], np.interp(at, signal.time, signal.value))
 
 
 def _smooth(values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Average over 5 ms, so that encoder increments do not look like motion."""
+    """Average over 5 ms, so that encoder increments are not taken for motion."""
     count = 2 * round(2.5e-3 / max(float(np.median(np.diff(time))), 1e-9)) + 1
     padded = np.pad(values, count // 2, mode="edge")
     return np.convolve(padded, np.ones(count) / count, "valid")
@@ -642,7 +643,7 @@ def _brake(drive: Drive) -> float:
 
 
 def _written(signals: Mapping[str, Signal], drive: Drive) -> dict[str, float]:
-    """Jerk and gains that were written in the log."""
+    """Return the jerk and the gains that were written in the log."""
     names = ("profile_jerk_1", "velocity_control_gain", "velocity_control_time",
              "position_control_gain", "velocity_feed_forward", "velocity_filter_time")
     return {

@@ -1,7 +1,8 @@
-"""The closed-form stage: torque over acceleration, direction and speed of the smoothed log.
+"""The closed-form stage: a regression of torque on acceleration, direction and speed.
 
-Least squares without a simulation, the inverse-dynamic model of robots (Gautier, Khalil 1992): it
-is good to some per cent and begins the search by re-simulation near the right place.
+It is the inverse dynamic identification of robots by least squares (Gautier, Khalil 1992), without
+a simulation. It is accurate to a few per cent and starts the search by re-simulation near the
+solution.
 """
 
 from typing import NamedTuple
@@ -10,14 +11,14 @@ import numpy as np
 
 from .experiment import Experiment
 
-WINDOW = 0.015  # s, of the polynomials that smooth
+WINDOW = 0.015  # s, width of the smoothing polynomials
 ORDER = 3
-SLOW = 0.05  # of the highest speed, below which friction is not looked at
-LOSSES = 4  # rounds, of which way the torque goes through a gear with losses
+SLOW = 0.05  # share of the highest speed, below which samples are left out
+LOSSES = 4  # iterations for the direction of power through a gear with losses
 
 
 class Rough(NamedTuple):
-    """At the motor shaft."""
+    """Rough estimates at the motor shaft."""
 
     inertia: float  # kg·m²
     coulomb: float  # Nm
@@ -37,8 +38,8 @@ def regress(
     Args:
         experiments: measured positions and torques.
         gear: rad of motor shaft per m or rad.
-        own: inertia of the motor side (kg·m²), in front of the gear.
-        loss: friction of the gear over the torque that it carries.
+        own: inertia of the motor side of the gear (kg·m²).
+        loss: friction torque of the gear over the torque that it carries.
     """
     rows, torques, speeds = [], [], []
     for each in experiments:
@@ -62,7 +63,7 @@ def regress(
     scale = np.maximum(np.abs(matrix[:, columns]).max(axis=0), 1e-12)
     behind, drives, full = wanted - own * matrix[:, 0], np.ones(len(wanted)), np.zeros(4)
     for _ in range(LOSSES if loss else 1):
-        less = (1.0 + loss * drives)[:, None]  # driving a load costs more than braking it
+        less = (1.0 + loss * drives)[:, None]  # driving a load takes more torque than braking it
         weighed = less * matrix[:, columns] / scale
         full[columns] = np.linalg.lstsq(weighed, behind, rcond=1e-9)[0] / scale
         drives = np.sign((matrix @ full) * sign[moving])
@@ -79,7 +80,7 @@ def regress(
 
 
 def _derivatives(values: np.ndarray, half: int, period: float) -> tuple[np.ndarray, ...]:
-    """Values, slope and curvature by local polynomials (Savitzky and Golay 1964), ends left out."""
+    """Return smoothed values, slope and curvature (Savitzky, Golay 1964), without the ends."""
     at = np.arange(-half, half + 1)
     powers = np.vander(at, min(ORDER, 2 * half) + 1, increasing=True)
     weights = np.linalg.pinv(powers)

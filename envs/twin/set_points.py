@@ -1,7 +1,7 @@
-"""What a master sends, row by row: set-points of each cycle, or written on occasion.
+"""The set-points of a master, row by row: cyclic ones, and ones that are written on occasion.
 
-A row is a position cycle of the drive. Before the log the machine is enabled, and brought to the
-speed that the log begins with.
+A row is a position cycle of the drive. Before the log begins, the machine is enabled and brought to
+the speed with which the log begins.
 """
 
 import math
@@ -17,19 +17,19 @@ from ...drive.wire.recording import Signal
 OFFSETS = ("position_offset", "velocity_offset", "torque_offset")
 # parameters of a move that a master may write in the log itself, between moves too
 PROFILE = ("profile_velocity", "profile_acceleration", "profile_deceleration", "end_velocity")
-SI = ("m", "rad", "m/s", "rad/s", "Nm")  # units that are none of a drive
+SI = ("m", "rad", "m/s", "rad/s", "Nm")  # units of tables, not of drives
 ENABLE = (0x0006, 0x0007, 0x000F)  # controlwords
 NEW_SET_POINT = INTERPOLATE = 0x10  # in pp, in ip
-MIDDLE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # of five, off the cubic through the others
-APART = 5e-3  # s from one controlword to the next, on the way to an enabled drive
+MIDDLE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # middle of five minus the cubic of the others
+APART = 5e-3  # s between the controlwords that enable the drive
 
 
 @dataclass(frozen=True)
 class Events:
-    """What a master writes on occasion, and in which position cycle it arrives.
+    """The writes of a master that are not cyclic, and the position cycles in which they arrive.
 
-    Frames that begin a motion are stamped by a logger to a cycle or two, so each may be moved with
-    all that follows it, up to the next one: see `moved`.
+    The time stamps of a logger are accurate to a cycle or two. A frame that begins a motion may
+    therefore be moved, with all writes up to the next such frame; see `moved`.
     """
 
     at: np.ndarray  # row of each, shape (k,)
@@ -37,12 +37,12 @@ class Events:
     begins: np.ndarray  # whether a motion begins, shape (k,)
 
     def rows(self, count: int) -> dict[str, np.ndarray]:
-        """Values by row; a process image arrives with each, as some drives watch for it."""
+        """Return the values by row. A process image arrives in each row, as some drives expect."""
         last = np.searchsorted(self.at, np.arange(count), "right") - 1
         return {name: values[last] for name, values in self.columns.items()}
 
     def moved(self, cycles: np.ndarray) -> "Events":
-        """With each that begins a motion, and what follows it, so many rows later."""
+        """Return the events with each motion, and what follows it, some rows later."""
         motion = np.cumsum(self.begins)
         at = self.at + np.concatenate([[0], cycles])[motion]
         return replace(self, at=np.maximum.accumulate(at))
@@ -50,10 +50,10 @@ class Events:
 
 @dataclass(frozen=True)
 class LostSetPoints:
-    """Cyclic set-points that the logger missed, and what is known of them.
+    """Cyclic set-points that the logger missed, and the error of their interpolation.
 
-    In the log each lies on a cubic through its neighbours. How far off that is, the set-points
-    that were logged tell, each of them left out in turn.
+    Each is interpolated by a cubic through its neighbours. The error of the cubic is estimated from
+    the logged set-points, each of them left out in turn.
     """
 
     at: np.ndarray  # first row of each, shape (k,)
@@ -62,7 +62,7 @@ class LostSetPoints:
     error: float  # of the cubic, rms (drive units)
 
     def rows(self, rows: Mapping[str, np.ndarray], off: np.ndarray) -> dict[str, np.ndarray]:
-        """The rows with so much more (drive units) in each of them, shape ``(k,)``."""
+        """Return the rows with an amount (drive units) added to each lost one, shape ``(k,)``."""
         column = rows[self.target].copy()
         for at, more in zip(self.at, off, strict=True):
             column[at : at + self.per] += more
@@ -70,7 +70,7 @@ class LostSetPoints:
 
 
 def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count):
-    """Cyclic set-points by position cycle, which come with a process image, which were lost."""
+    """Return cyclic set-points by position cycle, the rows of process images, and the lost ones."""
     written = {
         "controlword": np.full(count, ENABLE[-1] | INTERPOLATE * (mode == 7)),
         "modes_of_operation": np.full(count, mode),
@@ -103,7 +103,7 @@ def cyclic_rows(signals, raw, even, target, mode, clock, step, per, lead, count)
 
 
 def occasional(signals, target, mode, clock, step, lead, drive) -> Events:
-    """What a master writes on occasion: set-points, controlwords, profiles; enabled before."""
+    """Return the non-cyclic writes of a master, after those that enable the drive."""
     names = [name for name in (target, *PROFILE, *OFFSETS)
              if name in signals and signals[name].unit not in SI and name in (OD.names or ())]
     now = {"controlword": ENABLE[0], "modes_of_operation": int(mode)}
@@ -168,10 +168,10 @@ def _curve(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
 def _between(
     number: np.ndarray, values: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Cyclic set-points, those that are missing from the log on a cubic through four others.
+    """Interpolate the missing cyclic set-points by a cubic through four others.
 
     Returns:
-        The set-points, the numbers of the missing ones, the error of the cubic (rms).
+        The set-points, the numbers of the missing ones, and the rms error of the cubic.
     """
     every = np.interp(at, number, values)
     missing = np.setdiff1d(at[(at > number[0]) & (at < number[-1])], number)
@@ -192,7 +192,7 @@ def _between(
 
 
 def _lead(first: float, speed: float, lead: int, per: int, step: float) -> np.ndarray:
-    """Set-points before the log: at rest, or up to the speed it begins with."""
+    """Return set-points before the log: at rest, or up to the speed with which it begins."""
     time = np.repeat(np.arange(-(lead // per), 0) * per * step, per)
     if abs(speed) * per * step < 1e-9:
         return np.full(lead, first)
@@ -216,7 +216,7 @@ def _held_rows(signal: Signal, clock, step: float, lead: int, count: int) -> np.
 
 
 def _control(signals, written, arrives, clock, step, lead, count, per) -> None:
-    """Controlwords of the log, as long as they keep the drive enabled."""
+    """Add the controlwords of the log that keep the drive enabled."""
     if "controlword" not in signals:
         return
     word = signals["controlword"]
