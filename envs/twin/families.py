@@ -1,4 +1,4 @@
-"""Families of mechanics that a log may come from, and the unknown parameters of each."""
+"""Families of mechanics, and the unknown parameters of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,12 +18,12 @@ class Family:
     """A family of machines.
 
     Args:
-        name: of it.
+        name: name of the family.
         builder: key of `BUILDERS`.
-        arguments: of the builder.
-        axis: drive that the log is of.
-        mass: parameter that the regression's inertia goes into.
-        spring: its stiffness and damping, where there is one to be found.
+        arguments: arguments of the builder.
+        axis: drive that was logged.
+        mass: parameter that the inertia of the regression determines.
+        spring: stiffness and damping of an unknown spring, if there is one.
         extra: further unknown parameters.
     """
 
@@ -35,7 +35,7 @@ class Family:
     spring: tuple[str, str] | None = None
     extra: tuple[str, ...] = ()
     built: Mapping[str, Any] = field(default_factory=dict)  # by the user: --set
-    objects: Mapping[str, float] = field(default_factory=dict)  # of the drive, as was read from it
+    objects: Mapping[str, float] = field(default_factory=dict)  # read from the drive
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -43,11 +43,11 @@ class Family:
         return (self.mass, *COMMON, *(self.spring or ()), *self.extra)
 
     def make(self, drive: str | DriveModel) -> Machine:
-        """A machine of the family, commissioned."""
+        """Build a commissioned machine of the family."""
         machine = BUILDERS[self.builder](drive, **{**self.arguments, **self.built})
         if self.objects:
             machine.drives[self.axis].commission(dict(self.objects))
-        machine.step()  # what was commissioned counts from the first cycle on
+        machine.step()  # commissioned values take effect in the first cycle
         return machine
 
     def given(

@@ -1,4 +1,4 @@
-"""From experiments to a twin: regression, search, choice of the family, intervals, verdict."""
+"""Fits twins to experiments: regression, search, choice of the family, intervals, verdict."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -17,30 +17,30 @@ from .families import AUTO, GAINS, Family, family
 from .reconstruction import expected, restored, timed
 from .regression import Rough, regress
 
-HELD_OUT = 0.35  # of one log, its end; of several logs the last one
-GOOD, FAIR = 1.3, 2.0  # held-out position error over the noise floor
-STIFFNESS, PER_DECADE = (2e3, 4e6), 11  # N/m where springs are sought, and how densely
-TURNING = (1 / 30, 30)  # the same of a rotary axis, times the nominal
-MASSES = (0.5, 1.0, 2.0)  # times that of the closed form, which does not know of the spring
-DAMPINGS = (0.03, 0.1)  # ratios a spring begins with
-BEST = 3  # starts that are followed
-FOLLOWED = 12  # steps of the best one
-VALLEY = (0.7, 0.8, 0.86, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.16, 1.25)  # of the mass
+HELD_OUT = 0.35  # share of a single log, at its end; of several logs the last one is held out
+GOOD, FAIR = 1.3, 2.0  # limits of the position error over the noise floor
+STIFFNESS, PER_DECADE = (2e3, 4e6), 11  # N/m, range of the grid of springs, and its density
+TURNING = (1 / 30, 30)  # the same range for a rotary axis, in multiples of the nominal value
+MASSES = (0.5, 1.0, 2.0)  # multiples of the closed form's mass, which ignores the spring
+DAMPINGS = (0.03, 0.1)  # damping ratios of the grid
+BEST = 3  # start points that are followed
+FOLLOWED = 12  # further steps of the best one
+VALLEY = (0.7, 0.8, 0.86, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.16, 1.25)  # factors of the mass
 GAIN_GRID = [(v, p) for v in (0.45, 0.7, 1.0, 1.5, 2.4) for p in (0.5, 0.75, 1.0, 1.4)]
 PID = ("pid_gain", "pid_integral_gain", "pid_derivative_gain")
-KEPT = {  # what a drive keeps rounded, and its object
+KEPT = {  # parameter that a drive stores rounded -> its object
     "velocity_gain": "velocity_control_gain", "integral_time": "velocity_control_time",
     "position_gain": "position_control_gain", **{name: name for name in PID},
 }
 PID_GRID = [(p, i, d) for p in (0.7, 1.2, 2.0) for i in (0.1, 0.3, 1.0) for d in (0.7, 1.1, 1.6)]
-LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, about the lag that the first run shows
-GAP = 2e-6  # m or rad, of backlash, which a search looks at steps of
-SLIGHT = 0.02  # friction of the highest force, which a search looks at steps of at least
-UNEXPLAINED = 0.3  # least share of the torque that inertia and friction explain
-NOTHING = 0.1  # the same where the inertia that comes out could be one
-SELDOM = 4e-3  # s between samples, above which the closed form is no judge
-STEEP = 2.0  # N/kg along the axis, from which its load is weighed
-LIGHT = 0.85  # least inertia over that of the motor and what is known to be on it
+LATE = (-1.5e-3, 0.0, 1.5e-3)  # s, start values about the lag of the first run
+GAP = 2e-6  # m or rad, step of a backlash in the search
+SLIGHT = 0.02  # least friction over the highest force, for the step of the search
+UNEXPLAINED = 0.3  # least share of the torque that inertia and friction have to explain
+NOTHING = 0.1  # the same if the resulting inertia is plausible
+SELDOM = 4e-3  # s between samples, above which the closed form cannot refuse a log
+STEEP = 2.0  # N/kg along the axis, above which its holding torque gives the payload
+LIGHT = 0.85  # least inertia over that of the motor and the known parts on its shaft
 
 
 @dataclass(frozen=True)
@@ -49,23 +49,23 @@ class Fitted:
 
     family: Family
     values: dict[str, float]  # parameters, and `LAG`
-    estimate: Estimate  # on all that was given
+    estimate: Estimate  # from all samples, held-out ones included
     rough: Rough
     held_position: float  # rms, m or rad
     held_torque: float  # rms, Nm
-    floor_position: float  # what the encoder's noise alone leaves
+    floor_position: float  # residual of encoder noise and rounding alone
     floor_torque: float
-    share: float  # of the motion that is explained, 0..1
+    share: float  # share of the motion that is explained, 0..1
     noise: float  # standard deviation of the encoder, m or rad
     fitted_ratio: float  # error of the fitted part over its noise floor
     unit: str
     runs: int
-    increment: float = 0.0  # of a coarse encoder (m or rad), which then is the floor; else 0
-    complete: bool = True  # False: interrupted
+    increment: float = 0.0  # of a coarse encoder (m or rad), which is the floor; otherwise 0
+    complete: bool = True  # False if the fit was interrupted
     candidates: Candidates | None = field(default=None, compare=False, repr=False)
     simulated: list[Simulated] = field(default_factory=list, compare=False, repr=False)
     whole: list[Experiment] = field(default_factory=list, compare=False, repr=False)
-    cuts: list[float] = field(default_factory=list)  # s, from where each log was held out
+    cuts: list[float] = field(default_factory=list)  # s, begin of the held-out part of each log
 
     @property
     def ratio(self) -> float:
@@ -76,8 +76,7 @@ class Fitted:
     def misfit(self) -> float:
         """The larger one of the held-out and the fitted position error, over the noise floor.
 
-        A model that does not repeat what it was fitted to is wrong, however quiet the held-out
-        part is.
+        A model that does not reproduce the fitted part is wrong, however quiet the held-out part.
         """
         return max(self.ratio, self.fitted_ratio)
 
@@ -85,7 +84,7 @@ class Fitted:
         """Residuals of position (rms, m or rad), following error and torque (shares).
 
         Args:
-            held: of what was held out, else of what was fitted.
+            held: evaluate the held-out part, otherwise the fitted part.
         """
         left: list[list[np.ndarray]] = [[], [], [], []]
         for experiment, run, cut in zip(self.whole, self.simulated, self.cuts, strict=True):
@@ -106,7 +105,7 @@ class Fitted:
 
     @property
     def verdict(self) -> str:
-        """``good``, ``fair`` or ``refused``."""
+        """The verdict: ``good``, ``fair``, ``refused`` or ``interrupted``."""
         if not self.complete:
             return "interrupted"
         return "good" if self.misfit <= GOOD else "fair" if self.misfit <= FAIR else "refused"
@@ -119,14 +118,14 @@ def fit(
     """Fit one family.
 
     Args:
-        experiments: of one axis; the last of several is held out, the end of a single one.
-        drive: model.
-        chosen: the family.
+        experiments: experiments of one axis; the last of several is held out, or the end of one.
+        drive: drive model.
+        chosen: family to fit.
         gains_known: the machine is commissioned with the gains of the log.
-        progress: takes a line about the progress.
+        progress: called with a line about the progress.
 
     Raises:
-        Unusable: the logs cannot tell what is asked of them.
+        Unusable: the logs do not contain enough information.
     """
     candidates = Candidates(lambda: chosen.make(drive), chosen.axis)
     joint = candidates.joint
@@ -182,7 +181,7 @@ def fit(
     held = _judge(candidates, experiments, cuts, best)
     inside = _judge(candidates, experiments, cuts, best, held_out=False)
     worse = _worse(search, Search(candidates, experiments), cuts, best, noise)
-    worse = max(worse, (held[0] / max(held[2], 1e-12)) ** 2)  # what is no noise is not told
+    worse = max(worse, (held[0] / max(held[2], 1e-12)) ** 2)  # errors that are no noise
     if complete:
         try:
             all_of_it = Search(candidates, experiments, progress=search.progress)
@@ -212,7 +211,7 @@ def choose(
     *, gains_known: bool = False, progress: Callable[[str], object] = lambda text: None,
     free: Sequence[str] = (),
 ) -> tuple[Fitted, list[Fitted]]:
-    """Fit families until one explains the logs; -> the best by held-out error, and all."""
+    """Fit families until one explains the logs; return the one with the least error, and all."""
     tried: list[Fitted] = []
     for name in names:
         try:
@@ -232,7 +231,7 @@ def choose(
 def refuse(
     experiments: Sequence[Experiment], rough: Rough, joint: parameters.Joint, chosen: Family
 ) -> None:
-    """Raise Unusable, with one line, for logs with too little information or a mismatch."""
+    """Raise Unusable for logs with too little information or with values that do not match."""
     name = experiments[0].name
     if rough.one_way:
         raise Unusable(
@@ -240,7 +239,7 @@ def refuse(
             "alike: record moves there and back"
         )
     if experiments[0].sampling > SELDOM:
-        return  # torque and acceleration between the samples are not known: the replay judges
+        return  # torque and acceleration between samples are unknown; the replay decides
     if rough.explained < NOTHING or (rough.explained < UNEXPLAINED and rough.inertia <= 0.0):
         raise Unusable(
             f"{name}: torque and motion do not belong together (inertia and friction explain "
@@ -268,17 +267,17 @@ def refuse(
 
 
 def _own(joint: parameters.Joint) -> float:
-    """Inertia of the motor and of what is known to be on its shaft (kg·m²)."""
+    """Return the inertia of the motor and of the known parts on its shaft (kg·m²)."""
     return parameters.PARAMETERS["rotor_inertia"].get(joint)
 
 
 def _plausible(rough: Rough) -> bool:
-    """Whether the closed form has found an inertia; of samples far apart it may have not."""
+    """Whether the closed form found an inertia, which samples far apart may prevent."""
     return rough.inertia > 0.0 and rough.explained >= UNEXPLAINED
 
 
 def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[float]]:
-    """The fitted part, and the time from which each log is held out (s)."""
+    """Return the fitted part, and the time from which each log is held out (s)."""
     if len(experiments) > 1:
         return list(experiments[:-1]), [math.inf] * (len(experiments) - 1) + [0.0]
     only = experiments[0]
@@ -289,7 +288,7 @@ def _split(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[fl
 def _start(
     chosen: Family, joint: parameters.Joint, rough: Rough, experiments: Sequence[Experiment]
 ) -> dict[str, float]:
-    """Start values of the search at the joint, from the regression."""
+    """Return the start values of the search at the joint, from the regression."""
     gear = joint.gear
     row = parameters.PARAMETERS[chosen.mass]
     nominal = row.get(joint)
@@ -297,7 +296,7 @@ def _start(
     mass = nominal + (rough.inertia - inertia) * (1 if chosen.mass == "rotor_inertia" else gear**2)
     if not _plausible(rough):
         mass = nominal
-    elif chosen.mass == "payload" and (per := _weight(joint)):  # what it holds tells it better
+    elif chosen.mass == "payload" and (per := _weight(joint)):  # from the holding torque
         body = joint.model.dof_bodyid[joint.coupling.dof]
         mass = nominal + rough.load * gear / per - float(joint.model.body_subtreemass[body])
     values = {
@@ -314,7 +313,7 @@ def _start(
 
 
 def _weight(joint: parameters.Joint) -> float:
-    """Force (N) along the axis that holds a kilogram of payload; 0 of a level one."""
+    """Return the force (N) along the axis that holds a kilogram; 0 for a level axis."""
     model = joint.model
     axis = joint.machine.data.xaxis[model.dof_jntid[joint.coupling.dof]]
     force = -float(axis @ model.opt.gravity)
@@ -322,7 +321,7 @@ def _weight(joint: parameters.Joint) -> float:
 
 
 def _voltage(experiments: Sequence[Experiment], joint: parameters.Joint) -> float:
-    """What the winding has on it at the highest speed (V), where it may be what limits it."""
+    """Return the winding voltage at the highest speed (V), which may be what limits the speed."""
     axis, found = joint.drive.axis, []
     constant = float(axis.torque_constant)
     if float(axis.resistance) <= 0.0 or constant <= 0.0:
@@ -355,7 +354,7 @@ def _free(
     chosen: Family, joint: parameters.Joint, start: Mapping[str, float], gains_known: bool,
     strongest: float, inertia: float,
 ) -> list[FreeParameter]:
-    """What is looked for; the strongest force and the inertia at the shaft give it its steps."""
+    """Return the free parameters; the highest force and the inertia determine their steps."""
     names = [*chosen.unknown, LAG]
     if not gains_known:
         names += [*GAINS]
@@ -368,7 +367,7 @@ def _free(
             continue
         row = parameters.PARAMETERS[name]
         low, high = row.low, row.high
-        if name == chosen.mass:  # a small one beside the motor's: in shares of all that moves
+        if name == chosen.mass:  # a small mass in shares of the total, motor included
             found.append(FreeParameter(name, start[name], max(low, 1e-9), high, 0.05 * whole))
         elif name in ("coulomb_friction", "load_force"):
             found.append(FreeParameter(name, start[name], low, high, 0.05 * friction))
@@ -386,7 +385,7 @@ def _starts(
     search: Search, chosen: Family, joint: parameters.Joint, start: dict[str, float],
     noise: Noise, gains_known: bool,
 ) -> list[dict[str, float]]:
-    """Several start points, if there are local minima."""
+    """Return several start points, if there are local minima."""
     starts = [start]
     if "pid_gain" in chosen.extra:
         grid = [
@@ -420,7 +419,7 @@ def _starts(
         ]
         costs = search.cost(grid, noise)
         starts = []
-        for n in np.argsort(costs):  # one of each valley
+        for n in np.argsort(costs):  # one from each valley
             if all(not 0.6 < grid[n][stiffness] / each[stiffness] < 1.6 for each in starts):
                 starts.append(grid[n])
             if len(starts) == BEST:
@@ -432,12 +431,12 @@ def _along_valley(
     search: Search, chosen: Family, joint: parameters.Joint, values: dict[str, float],
     noise: Noise,
 ) -> dict[str, float]:
-    """The best values on a line along which the axis moves nearly alike.
+    """Return the best values on a line along which the axis moves in nearly the same way.
 
-    A load on a spring keeps its natural frequency and damping ratio where mass, stiffness and
-    damping change by one factor, and a vertical axis is held alike where a constant force carries
-    what the payload weighs less. Where an axis sticks changes abruptly across such a valley and
-    smoothly along it, so a search that sees one parameter at a time stops in it.
+    A load on a spring keeps its natural frequency and damping ratio if mass, stiffness and damping
+    change by one factor. A vertical axis needs the same holding torque if a constant force balances
+    a change of the payload's weight. The position at which an axis sticks changes abruptly across
+    such a valley and smoothly along it, so a search with derivatives by single parameters stops.
     """
     weight = _weight(joint) if chosen.mass == "payload" else 0.0
     if not chosen.spring and not weight:
@@ -457,7 +456,7 @@ def _along_valley(
 def _worse(
     fitted: Search, whole: Search, cuts: Sequence[float], values: Mapping[str, float], noise: Noise
 ) -> float:
-    """How much larger the squares of white residuals are where nothing was fitted, at least 1."""
+    """Return the ratio of held-out to fitted squares of white residuals, at least 1."""
     inside = float(fitted.cost([values], noise)[0])
     parts = [
         white[0][each.time[each.moving] >= cut]
@@ -473,7 +472,7 @@ def _judge(
     candidates: Candidates, experiments: Sequence[Experiment], cuts: Sequence[float],
     values: Mapping[str, float], held_out: bool = True,
 ) -> tuple[float, float, float, float, float, float]:
-    """Errors of the held-out or the fitted part, their floors, share explained, the noise."""
+    """Return position and torque error, their floors, the share explained, and the noise."""
     left, spread, wave, sizes = [], [], [], []
     for experiment, cut in zip(experiments, cuts, strict=True):
         held = (experiment.time >= experiment.known) & ((experiment.time >= cut) == held_out)

@@ -21,7 +21,7 @@ DIGITS = 6  # of what is written
 def content(
     fitted: Fitted, drive: str, logs: Sequence[Path] = (), tried: Sequence[Fitted] = ()
 ) -> dict[str, Any]:
-    """What ``twin.json`` holds."""
+    """Return the content of ``twin.json``."""
     assert fitted.candidates is not None
     joint = fitted.candidates.joint
     free = {each.name for each in fitted.estimate.free}
@@ -33,7 +33,7 @@ def content(
         if name in free and fitted.complete and not fitted.increment:
             low, high = fitted.estimate.interval(name)
         rows[name] = _row(value, low, high, parameters.unit(joint, name))
-    for name in COMMISSIONED:  # of the drive, as it was taken to be
+    for name in COMMISSIONED:  # values of the drive that the fit assumed
         if name not in rows and parameters.PARAMETERS[name].there(joint):
             value = parameters.PARAMETERS[name].get(joint)
             rows[name] = _row(value, value, value, parameters.unit(joint, name))
@@ -97,7 +97,7 @@ def save(
     folder: str | Path, fitted: Fitted, drive: str, logs: Sequence[Path] = (),
     tried: Sequence[Fitted] = (),
 ) -> Path:
-    """Write the file into a folder, which is made if need be; -> the file."""
+    """Write ``twin.json`` into a folder, created if necessary, and return its path."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / FILE

@@ -7,9 +7,9 @@ from typing import Any
 from ..plants.twins import Twin
 from .fit import Fitted
 
-ABSOLUTE = ("load_force", "backlash")  # told in their units
-ALARM = 2.0  # half widths of a 95 % interval: of 2,500 unchanged parameters one is beyond (t, 23)
-WATCHED = (  # in the order they are told
+ABSOLUTE = ("load_force", "backlash")  # changes are given in the unit of the parameter
+ALARM = 2.0  # half widths of a 95 % interval; 1 of 2,500 unchanged parameters exceeds it (t, 23)
+WATCHED = (  # in the order of the report
     "coulomb_friction", "viscous_friction", "load_force", "payload", "inertia", "rotor_inertia",
     "load_stiffness",
     "transmission_stiffness", "load_damping", "transmission_damping", "backlash",
@@ -27,7 +27,7 @@ class Change:
     low: float
     high: float
     unit: str  # "%" or that of the parameter
-    known: bool = True  # the old twin has determined it, not taken it from the preset
+    known: bool = True  # the old twin determined it; otherwise it is that of the preset
 
     @property
     def certain(self) -> bool:
@@ -43,8 +43,8 @@ class Change:
         low, high = scale * self.low, scale * self.high
         numbers = f"{scale * self.change:+.3g} {unit} [{low:+.3g}, {high:+.3g}]"
         if not self.known:
-            return (f"{name} {numbers} beside its preset, which that twin was made with: no change "
-                    f"can be told (--free {self.name})")
+            return (f"{name} {numbers} relative to its preset, which the old twin uses: a change "
+                    f"cannot be determined (--free {self.name})")
         return f"{name} {numbers}" + ("" if self.certain else ": no change is certain")
 
 

@@ -22,19 +22,20 @@ def read(
     """Read the logs into experiments, in their order.
 
     Args:
-        logs: candump, asc, blf, pcapng, CSV.
-        machine: commissioned as the one of the logs.
-        drive: its model, by which the objects of a CAN log are known.
-        name: of the drive in the machine.
-        sender: node or slave of the log; the only one that has a position, if not given.
-        columns: of a CSV, see `Source`.
-        mode: of operation, where the log does not say it.
-        torque_constant: Nm/A, where a table has the current in A.
-        cycle: of the master (s), where a table was sampled more seldom.
-        hold: its set-points are steps.
+        logs: files: candump, asc, blf, pcapng, CSV.
+        machine: machine commissioned as the logged one.
+        drive: its model, which defines the objects of a CAN log.
+        name: name of the drive in the machine.
+        sender: node or slave of the log; by default the only one with a position.
+        columns: columns of a CSV, see `Source`.
+        mode: mode of operation, if the log does not contain it.
+        torque_constant: Nm/A, if a table contains the current in A.
+        cycle: bus cycle of the master (s), if a table was sampled less often.
+        hold: set-points of such a table are steps.
 
     Raises:
-        Unusable: what is missing, and how to record it. ValueError: a file that is damaged.
+        Unusable: a log is unsuitable; the message says how to record a better one.
+        ValueError: a file is damaged.
     """
     found = []
     for log in map(Path, logs):
@@ -64,7 +65,7 @@ def read(
 
 def _parts(signals: Mapping[str, Signal], machine: Machine, name: str, **more: Any) -> list[
         Experiment]:
-    """An experiment of each part of a log, of several those that are usable."""
+    """Return an experiment for each usable part of a log."""
     parts: list[Experiment] = []
     said: Unusable | None = None
     several = spans(signals, more["log"])
@@ -79,7 +80,7 @@ def _parts(signals: Mapping[str, Signal], machine: Machine, name: str, **more: A
 
 
 def _by_variable(signals: Mapping[str, Signal], drive: Drive) -> dict[str, Signal]:
-    """Signals by the variable that a drive keeps an object in, where that has another name."""
+    """Name signals by the variables of the drive, where an object has another name."""
     start = int(AXIS.fields["od"][1])  # type: ignore[index]
     names = {
         start + int(place[1]): name

@@ -10,16 +10,16 @@ import ruckig
 
 from ..engine.checks import in_range
 
-REST, RINGING = 0.08, 0.5  # s, behind each move; where a spring is to ring out
-KINDS = {  # what a move tells: shares of speed and acceleration, and how far, there and back each
+REST, RINGING = 0.08, 0.5  # s after each move; after a move whose vibration has to decay
+KINDS = {  # purpose -> shares of speed, acceleration and distance of moves in both directions
     "acceleration": ((1.0, 1.0, 0.6), (1.0, 0.5, 0.6), (0.6, 0.25, 0.4)),
     "speed": ((1.0, 1.0, 0.6), (0.33, 1.0, 0.2), (0.6, 1.0, 0.25), (0.33, 0.5, 0.2)),
     "slow": ((0.1, 0.5, 0.03), (0.05, 0.5, 0.02)),
     "ring": ((1.0, 1.0, 0.1), (0.6, 1.0, 0.05)),
     "sweep": (),
 }
-WHOLE = ("acceleration", "speed", "slow")  # what an experiment for an unknown axis holds
-SWEEP = (5.0, 100.0, 3.0)  # Hz from, to, and how long (s)
+WHOLE = ("acceleration", "speed", "slow")  # the kinds in an experiment for an unknown axis
+SWEEP = (5.0, 100.0, 3.0)  # first and last frequency (Hz), duration (s)
 SHARE_OF_SWEEP = 0.3  # of the highest acceleration
 
 
@@ -39,20 +39,20 @@ class Limits:
         in_range("jerk", self.jerk, 1e-6, 1e8, "m/s³ or rad/s³")
         if not self.high - self.low > 0.0:
             raise ValueError(
-                f"range {self.low:g}..{self.high:g}: its end has to be above its begin"
+                f"range {self.low:g}..{self.high:g}: the upper end has to be above the lower"
             )
 
 
 def plan(
     limits: Limits, period: float, *, kinds: Sequence[str] = WHOLE, sweep: bool = False
 ) -> np.ndarray:
-    """Set-points of the experiment, one for each bus cycle, shape ``(n,)``, from mid-range.
+    """Return the set-points of an experiment, one per bus cycle, shape ``(n,)``, from mid-range.
 
     Args:
-        limits: of place, speed, acceleration and jerk.
-        period: of the bus (s).
-        kinds: what is to be told, of `KINDS`.
-        sweep: a sine of rising frequency joins, for springs.
+        limits: limits of position, speed, acceleration and jerk.
+        period: bus cycle (s).
+        kinds: the kinds of moves, keys of `KINDS`.
+        sweep: add a sine of rising frequency, for springs.
     """
     middle, half = 0.5 * (limits.low + limits.high), 0.5 * (limits.high - limits.low)
     here, parts = middle, [np.full(round(REST / period), middle)]
@@ -84,7 +84,7 @@ def _move(
 
 
 def _sweep(limits: Limits, period: float) -> np.ndarray:
-    """A sine whose amplitude falls so that its acceleration stays, frequency exponential."""
+    """Return an exponential sweep with constant acceleration amplitude."""
     first, last, duration = SWEEP
     last = min(last, 0.2 / period)
     time = np.arange(0.0, duration, period)
@@ -101,9 +101,9 @@ def write(path: Path, set_points: np.ndarray, period: float, unit: float) -> Non
     """Write a table for a master: time (s) and target_position (drive units).
 
     Args:
-        path: of the CSV.
-        set_points: m or rad.
-        period: of the bus (s).
+        path: path of the CSV.
+        set_points: positions (m or rad).
+        period: bus cycle (s).
         unit: one position unit of the drive (m or rad).
     """
     path.parent.mkdir(parents=True, exist_ok=True)

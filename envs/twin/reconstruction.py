@@ -1,7 +1,7 @@
-"""What a log does not contain, estimated from the motion: lost set-points, and encoder noise.
+"""Estimates from the motion what a log does not contain: lost set-points and encoder noise.
 
-A logger stamps frames late, and misses some of them. The drive got them all, in time, and its
-motion shows what they were. The encoder's noise acts on the axis through the control loop.
+A logger stamps frames late and misses some. The drive received all of them in time, and its motion
+shows their values. The encoder's noise acts on the axis through the control loop.
 """
 
 import math
@@ -14,8 +14,8 @@ from .candidates import LAG, SEED, Candidates
 from .estimate import Noise
 from .experiment import Experiment, Replicas
 
-SHIFT, ROUNDS = 3, 3  # cycles either way that a motion may begin beside its stamp, and how often
-ANSWER = 0.15  # s, that an axis takes to answer a set-point that is off
+SHIFT, ROUNDS = 3, 3  # cycles by which a motion may begin before or after its stamp; iterations
+ANSWER = 0.15  # s, response time of an axis to an error of a set-point
 REPLICAS = 24  # runs with encoder noise
 TRIMMED = 0.4377  # mean square of the quieter four fifths of standard normal values
 ENOUGH = 20  # differences that tell a noise
@@ -25,11 +25,11 @@ ROUGH = 3  # order of the differences that leave noise and little of a model err
 def timed(
     candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
 ) -> Experiment:
-    """An experiment whose motions begin in the position cycles that its samples show.
+    """Return an experiment whose motions begin in the position cycles that its samples show.
 
-    A logger stamps a frame to some tenths of a millisecond, and an RPDO waits for the next cycle of
-    the drive: of a set-point sent on occasion this is as much as the axis travels in a cycle. One
-    delay is common to all of them, `LAG`; what differs is a whole number of cycles for each.
+    The stamps of a logger are accurate to some tenths of a millisecond, and an RPDO waits for the
+    next cycle of the drive. The error of a non-cyclic set-point is the distance travelled in that
+    time. All set-points have one delay in common, `LAG`, and differ by whole cycles.
     """
     if experiment.events is None or not experiment.events.begins.any():
         return experiment
@@ -63,11 +63,11 @@ def timed(
 def restored(
     candidates: Candidates, experiment: Experiment, values: Mapping[str, float], noise: Noise
 ) -> Experiment:
-    """An experiment with the set-points that were lost from its log.
+    """Return an experiment with estimates of the set-points that were lost from its log.
 
-    Each is the sum of what the curve through its neighbours says and of what is left of the motion
-    behind it, weighed by the error of such curves in this log and by the noise (maximum a
-    posteriori). Lost ones that lie apart are looked at side by side.
+    Each estimate combines the curve through its neighbours with the residual motion after it,
+    weighted by the error of such curves in this log and by the noise (maximum a posteriori).
+    Derivatives by set-points that are far apart are taken in one run.
     """
     lost = experiment.missed
     if lost is None or not len(lost.at) or lost.error == 0.0:
@@ -103,12 +103,13 @@ def restored(
 def expected(
     candidates: Candidates, experiment: Experiment, values: Mapping[str, float]
 ) -> Experiment:
-    """An experiment with replicas: what encoder noise adds to a run with these values.
+    """Return an experiment with replicas: the effect of encoder noise on a run with these values.
 
     Measured values are compared with the mean of noisy runs, not with a run without noise. Dry
-    friction and rounding are not linear, so the two differ by micrometres; without the mean, a fit
-    would put the difference into parameters, as in indirect inference (Gourieroux, Monfort,
-    Renault 1993). An encoder so coarse that its increments are the noise gets no replicas.
+    friction and rounding are not linear, so the two differ by micrometres, and a fit without the
+    mean would put that difference into the parameters. The correction is that of indirect inference
+    (Gourieroux, Monfort, Renault 1993). An encoder so coarse that its increments are the noise has
+    no replicas.
     """
     if candidates.coarse:
         return experiment
@@ -130,11 +131,11 @@ def expected(
 
 
 def _noise(experiment: Experiment, left: np.ndarray) -> float:
-    """Standard deviation of the encoder noise (m or rad), from the highest differences.
+    """Return the standard deviation of the encoder noise (m or rad), from high differences.
 
-    Those of the residuals contain noise and what the model does not explain, those of the position
-    at rest contain noise and what moves there. The smaller one counts, so that a wrong model
-    cannot pass its errors off as noise.
+    Differences of the residuals contain noise and model errors; differences of the position at rest
+    contain noise and residual motion. The smaller estimate is used, so that the errors of a wrong
+    model do not count as noise.
 
     Args:
         experiment: with replicas, whose noise may be of another size.
@@ -157,13 +158,13 @@ def _noise(experiment: Experiment, left: np.ndarray) -> float:
 
 
 def _variance(values: np.ndarray) -> float:
-    """Variance of normal values about zero, from the quieter four fifths of them."""
+    """Return the variance of normal values about zero, from the smaller four fifths of them."""
     squares = np.sort(values**2)[: max(round(0.8 * len(values)), 1)]
     return float(np.mean(squares)) / TRIMMED
 
 
 def _apart(begins: np.ndarray, ends: np.ndarray) -> Sequence[list[int]]:
-    """Groups of intervals none of which overlap."""
+    """Return groups of intervals that do not overlap."""
     groups: list[list[int]] = []
     for n in np.argsort(begins):
         group = next((each for each in groups if ends[each[-1]] <= begins[n]), None)

@@ -14,7 +14,7 @@ PICTURES = ("motion.png", "friction.png", "spectrum.png")
 
 
 def report(folder: Path, fitted: Fitted, content: Mapping[str, Any]) -> list[Path]:
-    """Write ``report.md`` and its pictures; -> the files."""
+    """Write ``report.md`` and its pictures, and return the paths."""
     folder = Path(folder)
     for name, draw in zip(PICTURES, (_motion, _friction, _spectrum), strict=True):
         draw(folder / name, fitted)
