@@ -240,7 +240,7 @@ def late(machine, rng, every, seconds=4.0, period=1e-3):
 @pytest.mark.parametrize("every", [1, 5])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_twin_of_late_set_points_is_refused_and_says_what_to_record(seed, every):
-    machine = linear_axis()
+    machine = RIGID.make("generic")
     rng = np.random.default_rng(seed)
     hidden = hide(machine, rng, HIDDEN)
     found = experiment(late(machine, rng, every), RIGID.make("generic"), "x")
