@@ -1,6 +1,7 @@
 """PDOs of an imported CANopen drive, from the communication objects 1400h to 1BFFh of its sheet."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from ..canopen.sheet import Entry, number
 from ..kernel.process_data import DUMMY_BITS, ENTRIES, MAX_BITS, MAX_PDOS
@@ -77,9 +78,9 @@ def _pdo(objects: ObjectRows, direction: str, index: int, n: int) -> list[PdoRow
         if row is not None:
             objects.set_default(row, given.get(subindex, 0))
     return [
-        pdo._replace(position=position, index=f"0x{i:04X}", subindex=f"0x{sub:02X}", bits=bits)
+        replace(pdo, position=position, index=f"0x{i:04X}", subindex=f"0x{sub:02X}", bits=bits)
         for position, (i, sub, bits) in enumerate(entries, 1)
-    ] or [pdo._replace(note="empty")]
+    ] or [replace(pdo, note="empty")]
 
 
 def _identifier(objects: ObjectRows, direction: str, index: int, n: int) -> str:

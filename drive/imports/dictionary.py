@@ -1,6 +1,6 @@
 """Completes a drive model from a dictionary: objects, units, PDOs, modes and homing methods."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from ..canopen.sheet import Sheet
@@ -120,7 +120,7 @@ def _capabilities(
 
 
 def _only_mode(
-    objects: ObjectRows, pdos: Iterable[PdoRow], fixed: dict[str, Any], modes: Iterable[Mode]
+    objects: ObjectRows, pdos: Iterable[PdoRow], fixed: dict[str, Any], modes: Sequence[int]
 ) -> Mode | None:
     """The mode of a drive whose 6060h cannot be written, from the set-point in its RPDOs."""
     row = objects.rows.get((_MODE_OF_OPERATION, 0))

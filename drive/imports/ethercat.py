@@ -11,7 +11,7 @@ the README of the folder.
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +150,7 @@ def import_source(source: Source, folder: Path, path: Path) -> Imported:
         made.notes += source.notes
         made.more = {
             "ethercat_objects.csv": _ethercat_objects(pdos),
-            "ethercat_pdo.csv": _csv(PDO_COLUMNS, (row._asdict() for row in pdos.rows)),
+            "ethercat_pdo.csv": _csv(PDO_COLUMNS, map(asdict, pdos.rows)),
         }
         _write(made, folder, source, pdos)
     except ValueError as error:

@@ -276,7 +276,7 @@ def _rows(direction: str, order: Sequence[tuple[Pdo, list[Mapped]]]) -> Iterator
     for number, (pdo, entries) in enumerate(order, 1):
         head = PdoRow(direction, number, f"0x{pdo.index:04X}", note=line(pdo.name), section=SOURCE)
         for place, (index, subindex, bits) in enumerate(entries, 1):
-            yield head._replace(position=place, index=f"0x{index:04X}",
-                                subindex=f"0x{subindex:02X}", bits=bits)
+            yield replace(head, position=place, index=f"0x{index:04X}",
+                          subindex=f"0x{subindex:02X}", bits=bits)
         if not entries:
             yield head

@@ -9,7 +9,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,8 @@ from .rows import OBJECT_COLUMNS
 HEADING = "| line | object | the file says | used | reason |\n|---|---|---|---|---|\n"
 
 
-class PdoRow(NamedTuple):
+@dataclass(frozen=True)
+class PdoRow:
     """A row of pdo.csv: an entry of a PDO, or a PDO without entries."""
 
     direction: str  # rx, tx
@@ -34,7 +35,7 @@ class PdoRow(NamedTuple):
     section: str = ""
 
 
-PDO_COLUMNS = PdoRow._fields
+PDO_COLUMNS = tuple(column.name for column in fields(PdoRow))
 
 
 class Repair(NamedTuple):
@@ -102,7 +103,7 @@ def write(made: ModelFolder, folder: Path, check: Callable[[Path], str]) -> None
     try:
         _table(place / "objects.csv", OBJECT_COLUMNS, made.objects)
         if made.pdos is not None:
-            _table(place / "pdo.csv", PDO_COLUMNS, [row._asdict() for row in made.pdos])
+            _table(place / "pdo.csv", PDO_COLUMNS, map(asdict, made.pdos))
         for name, text in made.more.items():
             (place / name).write_text(text, encoding="utf-8")
         (place / "drive.toml").write_text(_toml(made), encoding="utf-8")
