@@ -132,7 +132,7 @@ class DeviceVectorEnv(ServoVectorEnv):
                 return lambda: control(present, arrays[0], modes, arrays[1])
             if name == "report":
                 return lambda: report(arrays[0], modes, arrays[1])
-            function = getattr(first, name)
+            function = acting(first.act) if name == "act" else judging(first.judge)
             return lambda: function(present, *arrays)
         from ..engine import gpu
 
