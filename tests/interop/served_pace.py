@@ -49,8 +49,8 @@ def until_served(process):
             return
 
 
-def start(folder, runs):
-    """Times since the process began (s): first frame, enabled, moving by 1 mm."""
+def start(folder, runs, count):
+    """Times since the process began (s): all have booted, are enabled, have moved by 1 mm."""
     import can
 
     from servogym.drive.canopen.remote import CanOpenPort
@@ -58,27 +58,37 @@ def start(folder, runs):
     from servogym.drive.wire.bus import CanPort
 
     file = folder / "machine.toml"
-    file.write_text(CAN + AXIS.format(n=1, bus="can", more="node_id = 1\n"))
+    nodes = {f"x{n}": n for n in range(1, count + 1)}
+    file.write_text(CAN + "".join(
+        AXIS.format(n=n, bus="can", more=f"node_id = {n}\n") for n in nodes.values()
+    ))
     rows = []
     with can.Bus(interface="udp_multicast", channel=GROUP, fd=False) as bus:
         for _ in range(runs):
             begin = time.perf_counter()
             with serving(file):
-                while bus.recv(60.0).arbitration_id != 0x701:
-                    continue
+                booting = {0x700 + node_id for node_id in nodes.values()}
+                while booting:
+                    booting.discard(bus.recv(60.0).arbitration_id)
                 row = [time.perf_counter() - begin]
-                master = Master(CanOpenPort(CanPort(bus), 1))
+                port = CanOpenPort(CanPort(bus), nodes)
+                master = Master(port, *nodes)
                 master.enable()
                 row.append(time.perf_counter() - begin)
-                there = master.read("position_actual_value")
+                there = {name: port.upload(name, "position_actual_value") for name in nodes}
                 master.set_mode("profile_velocity")
-                master.write("target_velocity", 200_000)
-                while abs(master.read("position_actual_value") - there) < 1000:
-                    continue
+                for name in nodes:
+                    port.write(name, "target_velocity", 200_000)
+                port.exchange()
+                for name, at in there.items():
+                    while abs(port.upload(name, "position_actual_value") - at) < 1000:
+                        continue
                 row.append(time.perf_counter() - begin)
                 master.disable()
             rows.append(row)
-            print(*(f"{value:.2f} s" for value in row), "boot-up, enabled, moved by 1 mm")
+            load = os.getloadavg()[0]
+            print(*(f"{value:.2f} s" for value in row),
+                  f"boot-up, enabled, moved by 1 mm; {count} axes, load {load:.1f}")
             while bus.recv(0.0) is not None:
                 continue
     print("median", *(f"{value:.2f} s" for value in np.median(rows, axis=0)))
@@ -186,7 +196,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=("start", "axes", "policy"))
     parser.add_argument("--seconds", type=float, help="of axes (60) and policy (600)")
-    parser.add_argument("--count", type=int, help="starts (5), axes (8)")
+    parser.add_argument("--count", type=int, help="starts (5)")
+    parser.add_argument("--axes", type=int, help="of start (1), of axes (8)")
     parser.add_argument("--period", type=float, default=1.0, help="of policy (ms, 1)")
     parser.add_argument("--phase", type=float, help="of policy: set-points (deploy's own)")
     parser.add_argument("--missed", type=int, help="of policy: steps in a row (deploy's own)")
@@ -198,9 +209,9 @@ def main():
     _network()
     with tempfile.TemporaryDirectory() as folder:
         if options.what == "start":
-            start(Path(folder), options.count or 5)
+            start(Path(folder), options.count or 5, options.axes or 1)
         elif options.what == "axes":
-            axes(Path(folder), options.count or 8, options.seconds or 60.0)
+            axes(Path(folder), options.axes or 8, options.seconds or 60.0)
         else:
             before = stolen()
             policy(
