@@ -71,6 +71,7 @@ class PolicyProcess:
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
         there.close()
+        self._ended = False
         self._thinking = False  # about an action that did not come in time
         self._asked_at = 0.0
         self._answer(READY_TIME_OUT, "to get ready")
@@ -80,12 +81,12 @@ class PolicyProcess:
 
         It stays in its process, unless that has ended or does not answer.
         """
-        if self._process.is_alive() and not self._thinking:
-            self._send(RENEW)
-            self._answer(READY_TIME_OUT, "to get ready")
-        else:
+        if self._ended or self._thinking:
             self.close()
             self._launch()
+        else:
+            self._send(RENEW)
+            self._answer(READY_TIME_OUT, "to get ready")
 
     def begin(
         self, observation: np.ndarray, info: dict[str, Any], idle: Callable[[], object]
@@ -136,9 +137,11 @@ class PolicyProcess:
                 raise Stopped("", f"the policy takes more than {patience:g} s {what}")
             data = self._here.recv_bytes()
         except (EOFError, OSError):
+            self._ended = True
             self._process.join(1.0)
             raise Stopped("", f"the policy has ended: {_ending(self._process.exitcode)}") from None
         kind, body = data[:1], data[1:]
+        self._ended = kind in (REFUSED, RAISED)  # the last words of the process
         if kind == REFUSED:
             raise Stopped("", body.decode(errors="replace"))
         if kind == RAISED:
