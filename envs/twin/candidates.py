@@ -147,9 +147,7 @@ class Candidates:
             rows_of[line, np.clip(np.round(places).astype(int), 0, last)]
             for rows_of, places in ((fine, at - behind), (torque, at))
         ], axis=-1)
-        return Simulated(
-            _at(fine, at - behind), *(_at(column, at) for column in (torque, demand)), nearest
-        )
+        return Simulated(_at(fine, at - behind), _at(torque, at), _at(demand, at), nearest)
 
 
 def give(joint: parameters.Joint, values: Mapping[str, float]) -> None:

@@ -144,7 +144,8 @@ def _noise(experiment: Experiment, left: np.ndarray) -> float:
     known = experiment.replicas
     assert known is not None
     added = (known.added - known.mean)[:, :, 0]
-    rest = np.lib.stride_tricks.sliding_window_view(~experiment.moving, ROUGH + 1).all(axis=1)
+    still = np.lib.stride_tricks.sliding_window_view(~experiment.moving, ROUGH + 1)
+    rest = np.asarray(still.all(axis=1))
     everywhere = np.ones(len(rest), bool)
     sizes = []
     for values, at in ((left, everywhere), (experiment.position, rest)):
