@@ -18,7 +18,7 @@ from ..engine.machine import Machine
 from . import twins
 from .axis_parameters import FAMILY
 from .commissioning import commission_joint
-from .gantry import gantry
+from .gantry import Gantry, gantry
 from .linear_axis import linear_axis
 from .rotary import rotary_axis
 from .rotary_parameters import ROTARY_FAMILY
@@ -28,7 +28,7 @@ BUILDERS: Mapping[str, Callable[..., Machine]] = {
     "linear_axis": linear_axis, "rotary_axis": rotary_axis, "gantry": gantry,
 }
 # factories by the name of the mechanics, for commands that size, measure and tune
-FACTORIES: dict[str, partial[Machine]] = {
+FACTORIES: dict[str, "partial[Machine] | partial[Gantry]"] = {
     **{name: partial(linear_axis, mechanics=name) for name in FAMILY},
     **{name: partial(rotary_axis, mechanics=name) for name in ROTARY_FAMILY},
     "gantry": partial(gantry), "gantry-x1x2": partial(gantry, x_drives=2),
