@@ -229,6 +229,11 @@ class RobotEnv(ServoEnv):
         super().__init__(drive, **arguments)
         self.datasheet = Joints(tuple(self._half(i) for i in range(len(names))))
 
+    def highest_reward(self, distance: np.ndarray) -> np.ndarray:
+        """Return the reward at rest for each distance (m or rad) of the farthest joint."""
+        near = np.array([closeness(each / self.tolerance, FAR) for each in distance])
+        return 0.5 * near + 0.5 * (distance <= self.tolerance)
+
     def _half(self, i: int) -> float:
         """Return half the range of the i-th drive."""
         low, high = (self.drives[i].read(f"{end}_position_limit") / METRE for end in ("min", "max"))

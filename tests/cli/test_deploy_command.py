@@ -96,7 +96,7 @@ def test_a_damaged_policy_is_refused_before_the_bus_is_opened(refused, bus, dama
 
 @pytest.mark.parametrize(("bus", "said"), [
     ("can", "no bus on --interface socketcan --channel nowhere0: "),
-    ("ethercat", "interface nowhere0: "),
+    ("ethercat", "interface nowhere0 does not exist: choose one of "),
 ])
 def test_a_bus_that_is_not_there_is_named(refused, bus, said):
     if bus == "ethercat":

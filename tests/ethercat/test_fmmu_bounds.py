@@ -52,7 +52,7 @@ def test_no_register_leads_out_of_the_memory():
         "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths),
     }
     done = subprocess.run(
-        [sys.executable, "-c", "from test_bounds import play; play(1, 100)"],
+        [sys.executable, "-c", "from test_fmmu_bounds import play; play(1, 100)"],
         env=environment, capture_output=True, text=True, check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]

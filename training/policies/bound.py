@@ -32,9 +32,6 @@ from ...drive.kernel.words import Mode
 from ...envs.engine import probe
 from ...envs.engine.tick import NEGATIVE
 from ...envs.environment.servo_env import METRE, ServoEnv
-from ...envs.tasks.rewards import closeness
-from ...envs.tasks.robot import FAR
-from ...envs.tasks.rotary import nearest
 from .bounds.errors import SIDE, least_squares
 from .bounds.plant import LOAD, NotLinear, Plant, plant
 from .bounds.times import Question, least_ticks, scipy
@@ -185,7 +182,8 @@ def _turned(env: Any) -> dict[str, float]:
     """
     episode, every = env.episode, _ticks(env, env.step_time)
     here, period = float(episode._target), float(episode._period)
-    way = nearest(float(episode.goal) - here, period)
+    way = float(episode.goal) - here
+    way -= period * math.floor(way / period + 0.5)
     near, most = env.tolerance + _ahead(env), float(episode._way)
     seconds = _arrival(abs(way), near, most, most, env.STEPS) * env.step_time
     make = partial(plant, env, arm=None if env.datasheet.load_encoder else {})
@@ -213,11 +211,9 @@ def _reached(env: Any) -> dict[str, float]:
         limits = float(episode._way[d]), float(episode._ramp[d])
         settled = max(settled, _arrival(way, env.tolerance + ahead, *limits, steps))
         away = np.maximum(away, way - ahead - _farthest(*limits, math.inf, steps)[1:])
-    near = [closeness(distance / env.tolerance, FAR) for distance in away]
-    rewards = 0.5 * np.array(near) + 0.5 * (away <= env.tolerance)
     return {
         "settling_time": settled * env.step_time,
-        "episode_return": float(rewards.sum()),
+        "episode_return": float(env.highest_reward(away).sum()),
     }
 
 
