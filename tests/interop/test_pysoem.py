@@ -130,7 +130,11 @@ def test_34_flexible_pdos_have_the_size_of_their_mapping_and_move_the_drive():
 def test_34_every_fixed_pdo_has_the_size_of_the_sii_and_moves_the_drive():
     known = sii.unpack(sii.of_model(load("kollmorgen_akd", "ethercat")))
     bits = {pdo.index: pdo.bits for pdo in known.rpdos + known.tpdos}
-    rows = on_the_wire("pysoem_master", "fixed_pdos", *AKD, pairs=FIXED)
+    rows = on_the_wire(
+        "pysoem_master", "fixed_pdos", *AKD, pairs=FIXED,
+        # SOEM takes 0 for a size that it reads too late (inferred); other sizes are wrong at once
+        in_time=lambda rows: all(0 not in row["sizes"] + row["managers"] for row in rows),
+    )
     moved = {row["pdos"][0][0]: row["moved"] for row in rows}
     assert moved.pop(0x1600) is None  # a controlword alone
     assert moved.pop(0x1702) > 1000
